@@ -38,7 +38,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.identification import DynamicModel
 from hybrid.identification.data import Data
-from hybrid.identification.preparation import prepare, taken
+from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import solve
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
@@ -123,7 +123,7 @@ def published_chain(
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
         seed: Seed of the mixtures' starts.
     """
-    data, joints = prepare(taken(robot, recordings), cutoff), range(robot.size)
+    data, joints = prepare(checked_logs(robot, recordings), cutoff), range(robot.size)
     rotors = [*(Armature((j,)) for j in joints), *effects]
     linear = [cls((j,)) for cls in _LINEAR for j in joints]
     everything = [*rotors, *linear]

@@ -11,12 +11,17 @@ from scipy.stats import t as student
 from test_calibrate import coman, disturbed, flange, measured
 
 from hybrid.calibration import calibrate
-from hybrid.calibration.align import _linear, _nearest_rotation, _stations, align
-from hybrid.calibration.calibrate import _group, _load, _rank, _unit
+from hybrid.calibration.alignment import _linear, _nearest_rotation, _stations, align
+from hybrid.calibration.calibrate import (
+    _group,
+    _load,
+    _rank,
+    _unit,
+    observability_index,
+)
 from hybrid.calibration.covariance import clustered_covariance
 from hybrid.calibration.geometry import chain_from_values, geometry_from_chain
 from hybrid.calibration.measurements import Measurements
-from hybrid.calibration.observability import observability_index
 from hybrid.calibration.outliers import OUTSIDE, misfit
 from hybrid.calibration.poses import (
     _gain,

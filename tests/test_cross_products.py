@@ -86,7 +86,7 @@ def test_so_they_are_for_random_chains_and_weights(seed):
 def test_rows_are_the_same_where_those_of_the_links_are_known_already():
     robot = arm("coman_like")
     problem, (motion, *_) = linear_problem(robot), loaded(robot)
-    links = problem.of_links(motion)
+    links = problem.link_columns(motion)
     assert links.shape == (robot.size, len(problem.links), len(motion.t))
     np.testing.assert_array_equal(problem.rows(motion, links), problem.rows(motion))
 

@@ -14,7 +14,7 @@ from test_effect_laws import effect, motion_of
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects import JointState, effect_class, effect_classes
-from hybrid.effects.backlash import _fall, _flight
+from hybrid.effects.backlash import _flight, _link_position
 from hybrid.effects.effect import Scale
 from hybrid.effects.elasticity import _swing
 from hybrid.effects.gravity_tilt import level_axes
@@ -508,7 +508,7 @@ def test_a_stiff_spring_gives_way_by_load_over_stiffness():
 def test_a_link_falls_across_its_play_by_its_pull():
     step, half = 0.001, 0.01
     pull = np.where(np.arange(400) < 100, 1.0, -2.0)
-    where = _fall(pull, half, step)
+    where = _link_position(pull, half, step)
     np.testing.assert_array_equal(where[:100], -half)
     since = step * (np.arange(400) - 99)
     flight = (np.arange(400) >= 100) & (since**2 < 0.9 * 2 * half)
@@ -516,7 +516,7 @@ def test_a_link_falls_across_its_play_by_its_pull():
         where[flight], (since**2 - half)[flight], atol=3 * step * 2 * np.sqrt(2 * half)
     )
     np.testing.assert_array_equal(where[-150:], half)
-    back = _fall(-pull, half, step)
+    back = _link_position(-pull, half, step)
     np.testing.assert_allclose(back, -where, atol=1e-15)
 
 

@@ -8,7 +8,7 @@ from hybrid.dynamics import regressor
 from hybrid.effects import effects_from_text
 from hybrid.excitation import Condition, ExpectedError, Fourier, Limits, design, observe
 from hybrid.excitation.constraints import MotionLimits
-from hybrid.excitation.expected_error import usual_structure
+from hybrid.excitation.expected_error import typical_structure
 from hybrid.excitation.observation import FIRST, PIVOTED, rigid_columns
 from hybrid.excitation.program import MotionProgram
 from hybrid.plant import Noise
@@ -44,7 +44,7 @@ def test_structure_stands_behind_the_fitted_columns():
     path = random_paths(1, 1)[0]
     found, plain = wide.matrix(path), OBSERVATION.matrix(path)
     np.testing.assert_allclose(found[:, :, :k], plain, atol=1e-12)
-    effects, sizes = usual_structure(SCARA)
+    effects, sizes = typical_structure(SCARA)
     assert len(sizes) == sum(len(x.gains) for x in effects)
     assert (sizes > 0).all()
 

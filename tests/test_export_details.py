@@ -27,7 +27,7 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.exports import export, program_from_model, read_manifest
 from hybrid.exports.c_code import c_number
-from hybrid.plant.native import split_effects
+from hybrid.plant.joint_fields import split_effects
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 

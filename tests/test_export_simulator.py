@@ -23,8 +23,8 @@ from hybrid.errors import HybridError
 from hybrid.exports import export, missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.plant import install, load_truth, simulate
+from hybrid.plant.joint_fields import split_effects
 from hybrid.plant.lockstep import Lockstep
-from hybrid.plant.native import split_effects
 from hybrid.recording import write
 from hybrid.robot import Robot
 

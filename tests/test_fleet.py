@@ -20,7 +20,7 @@ from hybrid.effects import effects_from_text
 from hybrid.errors import HybridError
 from hybrid.fleets import fleet
 from hybrid.fleets import worker as workers
-from hybrid.fleets.estimate import carrying, deviations
+from hybrid.fleets.estimate import deviations, with_payload
 from hybrid.fleets.plan import TRACK, periods, plan_from_dict
 from hybrid.fleets.unit import answer
 from hybrid.identification import identify
@@ -104,7 +104,7 @@ def test_a_payload_that_the_arm_was_told_of_is_no_change():
         HELD, ("shoulder", "elbow"), joint_scales(Robot.load(SCARA))
     )
     told, loaded = effect.gain_values.tolist(), logs(HELD, seed=9)
-    rows = deviations(carrying(baseline(), told), loaded, TRACK).rows
+    rows = deviations(with_payload(baseline(), told), loaded, TRACK).rows
     x = found(rows, "arm", "payload.mass")
     assert abs(x.change) < 2 * x.std
     assert x.baseline == 0.8

@@ -13,7 +13,13 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.payload import Payload
 from hybrid.errors import HybridError
 from hybrid.fleets import store as stores
-from hybrid.fleets.estimate import _held, _noise, _posterior, deviations, followed
+from hybrid.fleets.estimate import (
+    _noise_weights,
+    _payload_covariance,
+    _posterior,
+    deviations,
+    followed,
+)
 from hybrid.fleets.plan import ArmPlan, Plan, periods, read_plan
 from hybrid.fleets.store import Store, run_plan
 from hybrid.fleets.worker import LATE, LOST, REFUSED
@@ -148,7 +154,7 @@ def model(size=2) -> DynamicModel:
 
 def test_a_body_at_the_tool_has_its_mass_there_and_moments_of_its_size():
     tool, mass, off = np.array([0.2, -0.3, 0.4]), 2.0, 0.05
-    second = _held(model(), mass, tool) / mass**2  # means of products
+    second = _payload_covariance(model(), mass, tool) / mass**2  # means of products
     assert second[0, 0] == pytest.approx(1.0)
     np.testing.assert_allclose(second[0, 1:4], tool, atol=0.01)
     x, y, z = tool**2 + off**2
@@ -160,13 +166,15 @@ def test_a_body_at_the_tool_has_its_mass_there_and_moments_of_its_size():
 
 
 def test_without_a_tool_a_body_is_at_the_middle_of_the_last_link():
-    second = _held(model(), 1.0, ())
+    second = _payload_covariance(model(), 1.0, ())
     np.testing.assert_allclose(second[0, 1:4], [0.0, 0.0, -0.3], atol=0.01)
     light = model()
     links = light.robot.chain.inertial.copy()
     links[-1] = 0.0
     bare = replace(light, robot=light.robot.with_inertial(links))
-    np.testing.assert_allclose(_held(bare, 1.0, ())[0, 1:4], 0.0, atol=0.01)
+    np.testing.assert_allclose(
+        _payload_covariance(bare, 1.0, ())[0, 1:4], 0.0, atol=0.01
+    )
 
 
 def test_a_posterior_is_that_of_regression_with_a_prior():
@@ -178,7 +186,7 @@ def test_a_posterior_is_that_of_regression_with_a_prior():
     part[350:] = np.nan  # at rest
     X, y = X[:350, 0], y[:350, 0]
     theta, covariance, rms = _posterior([part[:200], part[200:]], prior)
-    power, weight = _noise((y - X @ theta)[:, None])
+    power, weight = _noise_weights((y - X @ theta)[:, None])
     H = np.linalg.inv(prior) + weight[0] * X.T @ X
     np.testing.assert_allclose(covariance, np.linalg.inv(H), rtol=1e-3)
     np.testing.assert_allclose(
@@ -190,7 +198,7 @@ def test_a_posterior_is_that_of_regression_with_a_prior():
 
 
 def test_of_a_joint_at_rest_nothing_is_told():
-    power, weight = _noise(np.full((50, 1), np.nan))
+    power, weight = _noise_weights(np.full((50, 1), np.nan))
     assert power.tolist() == [1.0] and weight.tolist() == [0.0]
 
 

@@ -17,17 +17,17 @@ from hybrid.identification.data import check_torque, fastest, visited
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.partial_regression import PartialRegression, _Sums
 from hybrid.identification.preparation import (
+    decimated_motion,
     linear_effects,
     prepare,
-    prepared,
-    thinned,
-    total,
+    prepare_at_best_cutoff,
+    summed_squares,
 )
-from hybrid.identification.remainder import _candidates, _most_telling
+from hybrid.identification.remainder import _best_inputs, _candidates
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.least_squares import _bounded_solve, pseudo_solve
-from hybrid.regression.prior import spread
+from hybrid.regression.prior import link_std
 from hybrid.regression.problem import build_problem
 
 seeds = st.integers(0, 10_000)
@@ -59,9 +59,9 @@ def test_squares_by_cross_products_are_those_of_the_residual(seed):
     waves, D = rng.standard_normal((3, 2, 40)), rng.standard_normal((4, 40))
     y, use = rng.standard_normal(40), rng.random(40) < 0.7
     theta, gains = rng.standard_normal((3, 4)), rng.standard_normal((3, 2))
-    left = [y - t @ D - g @ w for t, g, w in zip(theta, gains, waves, strict=True)]
+    residual = [y - t @ D - g @ w for t, g, w in zip(theta, gains, waves, strict=True)]
     found = _Sums.of(waves, D, y, use).squares(theta, gains)
-    np.testing.assert_allclose(found, [np.sum(x[use] ** 2) for x in left])
+    np.testing.assert_allclose(found, [np.sum(x[use] ** 2) for x in residual])
 
 
 def regression(seed=0, gain=(0.0, 0.0), joints=1):
@@ -83,23 +83,25 @@ def regression(seed=0, gain=(0.0, 0.0), joints=1):
 def test_the_gains_of_a_wave_are_those_beside_all_other_terms(joints):
     part, wave, (A, b) = regression(gain=(0.3, -0.2), joints=joints)
     X = np.vstack([part.columns, wave])
-    H, h = X @ X.T, X @ part.left
+    H, h = X @ X.T, X @ part.residual
     H[:3, :3] += A.sum(axis=0)
     h[:3] += b.sum(axis=0)
     expected = np.linalg.solve(H, h)
-    gains, _, _, rest = part._gains(wave)
+    gains, _, _, rest = part._fitted(wave)
     np.testing.assert_allclose(gains, expected[3:], rtol=1e-5)
-    np.testing.assert_allclose(rest, part.left - expected @ X, atol=1e-4)
+    np.testing.assert_allclose(rest, part.residual - expected @ X, atol=1e-4)
     less = part.with_wave(wave)
-    np.testing.assert_allclose(less.left, part.left - expected[3:] @ wave, atol=1e-4)
+    np.testing.assert_allclose(
+        less.residual, part.residual - expected[3:] @ wave, atol=1e-4
+    )
     # It is a term now, beside which another one has the gains of both together.
     other = np.cos(np.outer([1.0, 2.0], np.arange(400)))
     X = np.vstack([part.columns, wave, other])
-    H, h = X @ X.T, X @ part.left
+    H, h = X @ X.T, X @ part.residual
     H[:3, :3] += A.sum(axis=0)
     h[:3] += b.sum(axis=0)
     both = np.linalg.solve(H, h)
-    np.testing.assert_allclose(less._gains(other)[0], both[5:], atol=1e-5)
+    np.testing.assert_allclose(less._fitted(other)[0], both[5:], atol=1e-5)
 
 
 def test_squares_on_a_fold_are_by_terms_of_the_others():
@@ -112,9 +114,9 @@ def test_squares_on_a_fold_are_by_terms_of_the_others():
             (part.columns, before),
             (np.vstack([part.columns, wave]), after[0]),
         ):
-            gains = np.linalg.lstsq(X[:, rest].T, part.left[rest])[0]
-            left = part.left[own] - gains @ X[:, own]
-            assert found[k] == pytest.approx(left @ left, rel=1e-4)
+            gains = np.linalg.lstsq(X[:, rest].T, part.residual[rest])[0]
+            residual = part.residual[own] - gains @ X[:, own]
+            assert found[k] == pytest.approx(residual @ residual, rel=1e-4)
     assert after.sum() < before.sum()
 
 
@@ -122,13 +124,15 @@ def test_squares_on_a_fold_are_by_terms_of_the_others():
 def test_a_wave_shows_where_noise_seldom_makes_as_much(gain, there):
     block = np.arange(400) // 10
     found = [
-        part.shows(wave, block, 0.01)
+        part.is_significant(wave, block, 0.01)
         for part, wave, _ in (regression(seed, gain) for seed in range(12))
     ]
     assert sum(found) >= 11 if there else sum(found) <= 1
     part, wave, _ = regression(gain=gain)
-    assert not part.shows(wave, np.zeros(400, dtype=int), 0.01)  # one block tells none
-    assert not part.shows(part.columns[:2], block, 0.01)  # it is there already
+    assert not part.is_significant(
+        wave, np.zeros(400, dtype=int), 0.01
+    )  # one block tells none
+    assert not part.is_significant(part.columns[:2], block, 0.01)  # it is there already
 
 
 def data(**options):
@@ -145,8 +149,8 @@ def test_samples_at_rest_count_for_nothing():
         replace(m, q=m.q * [1, 0], v=m.v * [1, 0], a=m.a * [1, 0]) for m in motions
     ]
     known = prepare(still, 10.0)
-    left = [np.ones_like(m.q) for m in known.motions]
-    squares = known.squares(left).sum(axis=0)
+    residual = [np.ones_like(m.q) for m in known.motions]
+    squares = known.squares(residual).sum(axis=0)
     moving = sum(np.count_nonzero(known.moves(m)[:, 0]) for m in known.motions)
     assert squares.tolist() == [moving, 0.0]
     assert known.moving.tolist() == [moving, 1.0]  # the mean over none is zero
@@ -190,7 +194,7 @@ def test_ranges_are_those_of_samples_that_count():
 def test_an_outlying_block_counts_as_three_usual_ones():
     squares = np.ones((9, 2))
     squares[4, 0] = 100.0
-    plain, robust = total(squares, False), total(squares, True)
+    plain, robust = summed_squares(squares, False), summed_squares(squares, True)
     assert plain.tolist() == [108.0, 9.0]
     assert 9.0 < robust[0] < 50.0 and robust[1] == 9.0
 
@@ -203,11 +207,11 @@ def test_motions_are_thinned_to_a_dozen_samples_a_period(rate, kept):
     motion = replace(
         m, t=t, q=tone, v=tone, a=tone, tau=tone, mask=np.ones(len(t), dtype=bool)
     )
-    found = thinned(motion, 10.0)
+    found = decimated_motion(motion, 10.0)
     assert len(found.t) == -(-len(t) // kept)
     inside = slice(20, -20)
     np.testing.assert_allclose(found.tau[inside], found.q[inside], atol=0.02)
-    assert thinned(motion, np.inf) is motion
+    assert decimated_motion(motion, np.inf) is motion
 
 
 def test_a_joint_is_offered_its_own_state_and_that_of_its_neighbours():
@@ -227,12 +231,12 @@ def test_a_joint_is_offered_its_own_state_and_that_of_its_neighbours():
 )
 def test_the_inputs_of_a_remainder_are_those_it_depends_on(law, inputs):
     known, rng = data(seconds=8.0), np.random.default_rng(0)
-    left = []
+    residual = []
     for m in known.motions:
         x = np.zeros_like(m.q)
         x[:, 1] = law(m.q, m.v) + 0.05 * rng.standard_normal(len(x))
-        left.append(x)
-    assert _most_telling(known.sampled(left), 1, _candidates(1, 2)) == inputs
+        residual.append(x)
+    assert _best_inputs(known.decimated(residual), 1, _candidates(1, 2)) == inputs
 
 
 def test_links_do_not_depend_on_the_units_that_data_are_weighed_in():
@@ -266,7 +270,7 @@ def test_the_cutoff_is_halved_where_torque_is_noisy_and_kept_where_not(noise):
         q = m.q + 1e-6 * rng.standard_normal(m.q.shape)
         logs.append(Recording(m.t, q, tau=exact.tau + shake, joints=m.joints))
     first = prepare(logs, None).cutoff
-    found = prepared(pendulum(), logs, (), True).cutoff
+    found = prepare_at_best_cutoff(pendulum(), logs, (), True).cutoff
     halvings = np.log2(first / found)
     assert halvings == pytest.approx(round(halvings)) and 0 <= halvings <= 3
     assert found >= 3.0 * 4 / 12.0 and first <= RATE / 2
@@ -334,7 +338,7 @@ def test_friction_of_each_direction_is_fitted_to_its_own(direction):
 
 def test_link_parameters_are_as_unsure_as_their_unit_and_size_say():
     """A mass, a mass at a distance, and one at its square."""
-    found = spread(pendulum(2).chain)
+    found = link_std(pendulum(2).chain)
     mass, moment, inertia = found[:, 0], found[:, 1:4], found[:, 4:]
     size = moment / mass[:, None]
     np.testing.assert_allclose(size, size[:, :1] * np.ones(3))

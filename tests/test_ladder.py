@@ -15,8 +15,8 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification import identify, validate
 from hybrid.identification.data import Data
 from hybrid.identification.gate import lowers
-from hybrid.identification.preparation import thinned
-from hybrid.regression.prior import file_prior, spread
+from hybrid.identification.preparation import decimated_motion
+from hybrid.regression.prior import file_prior, link_std
 from hybrid.regression.problem import part
 
 
@@ -76,7 +76,7 @@ def test_the_prior_expects_the_files_links_and_is_certain_of_none():
 def test_links_ten_times_as_heavy_are_ten_times_as_uncertain():
     chain = arm("coman_like").chain
     heavy = replace(chain, inertial=10 * chain.inertial)
-    np.testing.assert_allclose(spread(heavy), 10 * spread(chain))
+    np.testing.assert_allclose(link_std(heavy), 10 * link_std(chain))
 
 
 def test_a_file_without_masses_is_no_prior():
@@ -165,7 +165,7 @@ def test_a_thinned_motion_has_the_same_laws_and_the_torque_of_its_band():
     (motion,) = motions(robot, count=1, rate=1000.0)
     slow = np.sin(2 * np.pi * 5.0 * motion.t)[:, None] * np.ones(2)
     fast = np.sin(2 * np.pi * 300.0 * motion.t)[:, None] * np.ones(2)
-    thin = thinned(with_torque(motion, slow + fast), 10.0)
+    thin = decimated_motion(with_torque(motion, slow + fast), 10.0)
     factor = round(motion.rate / thin.rate)
     assert factor >= 4
     np.testing.assert_array_equal(thin.v, motion.v[::factor])

@@ -17,8 +17,8 @@ from simulated import (
 
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import accumulate
-from hybrid.regression.intervals import estimated, solve
-from hybrid.regression.least_squares import ESTIMATORS, settle, without_folds
+from hybrid.regression.intervals import solve, with_uncertainty
+from hybrid.regression.least_squares import ESTIMATORS, solve_weighted, without_folds
 from hybrid.regression.problem import build_problem
 from hybrid.signals import Sampler
 
@@ -353,8 +353,10 @@ def test_a_gain_that_was_left_out_is_unknown_to_the_intervals(minute):
         pairs = zip(logs, minute.columns, strict=True)
         logs = [with_torque(m, m.tau - Y[:, :, viscous] @ less) for m, Y in pairs]
         few, all_ = bench.products(logs), whole.products(logs)
-        chosen = settle(few, "irls")
-        intervals = [estimated(few, chosen, among=x).interval() for x in (None, all_)]
+        chosen = solve_weighted(few, "irls")
+        intervals = [
+            with_uncertainty(few, chosen, complete=x).interval() for x in (None, all_)
+        ]
         inside = [(low <= known) & (known <= high) for low, high in intervals]
         shares.append(np.array(inside)[:, dry])
     taken_for_zero, unknown = np.mean(shares, axis=(0, 2))

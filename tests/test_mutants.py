@@ -60,7 +60,7 @@ def test_a_patch_changes_the_function_and_its_undoing_changes_it_back():
     before, known = function.__code__, Sampler.for_rate(1000.0, 20.0).factor
     try:
         patch.apply()
-        assert known == 10 and Sampler.for_rate(1000.0, 20.0).factor == 100_000
+        assert known == 14 and Sampler.for_rate(1000.0, 20.0).factor == 100_000
     finally:
         function.__code__ = before
     assert Sampler.for_rate(1000.0, 20.0).factor == known

@@ -206,9 +206,9 @@ def test_with_forgetting_it_follows_what_drifts_and_without_it_does_not():
 def test_a_bound_moves_what_is_correlated_along():
     root = np.array([[1.0, 0.0], [0.8, 0.6]])
     square = SquareRootFilter(np.array([-1.0, 0.0]), root)
-    square.keep_within(np.array([0.0, -np.inf]), np.full(2, np.inf))
+    square.clip(np.array([0.0, -np.inf]), np.full(2, np.inf))
     np.testing.assert_allclose(square.mean, [0.0, 0.8], atol=1e-9)
-    square.widen(np.array([[0.0], [2.0]]))
+    square.add_covariance(np.array([[0.0], [2.0]]))
     np.testing.assert_allclose(square.covariance, [[1, 0.8], [0.8, 5]])
 
 
@@ -216,7 +216,7 @@ def test_bounds_hold_where_unknowns_depend_on_each_other_or_are_held():
     root = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     for mean in ([-1.0, -2.0, 0.5], [-1.0, 0.5, -3.0]):
         square = SquareRootFilter(np.array(mean), root)
-        square.keep_within(np.zeros(3), np.ones(3))
+        square.clip(np.zeros(3), np.ones(3))
         assert np.all((square.mean >= 0) & (square.mean <= 1))
 
 

@@ -99,12 +99,23 @@ def test_decimation_keeps_every_factor_th_sample_of_signal_and_mask():
 
 
 @given(rate=st.floats(50, 5000), cutoff=st.floats(1, 1000))
-def test_decimation_keeps_five_samples_per_period_of_the_cutoff(rate, cutoff):
+def test_decimation_keeps_samples_enough_for_the_band(rate, cutoff):
     sampler = Sampler.for_rate(rate, cutoff)
     assert sampler.factor >= 1
     if sampler.factor > 1:
-        assert rate / sampler.factor >= 5 * cutoff * (1 - 1e-9)
-    assert rate / (sampler.factor + 1) < 5 * cutoff
+        assert rate / sampler.factor >= 3.5 * cutoff * (1 - 1e-9)
+    assert rate / (sampler.factor + 1) < 3.5 * cutoff
+
+
+@pytest.mark.parametrize("cutoff", [4.0, 9.3, 21.0])
+def test_what_decimation_folds_into_the_band_was_filtered_before(cutoff):
+    sampler = Sampler.for_rate(RATE, cutoff)
+    assert sampler.factor > 1
+    t = np.arange(20_000) / RATE
+    for inside in (0.2, 0.6, 1.0):  # of the band
+        alias = RATE / sampler.factor - inside * cutoff
+        folded = sampler(np.sin(2 * np.pi * alias * t))[200:-200]
+        assert np.abs(folded).max() < 2e-4
 
 
 @settings(max_examples=25)

@@ -35,7 +35,7 @@ def test_a_sampler_gives_every_so_manieth_sample_of_the_filter():
     x = rng.normal(size=(1003, 7, 2)).cumsum(axis=0)
     for cutoff in (3.0, 11.0, 30.0):
         sampler = Sampler.for_rate(300.0, cutoff)
-        assert sampler.factor == int(300.0 / (5 * cutoff))
+        assert sampler.factor == int(300.0 / (3.5 * cutoff))
         whole = butterworth(x, rate=300.0, cutoff=cutoff)
         # Dropping samples folds what is left above the new Nyquist frequency: 1e-4.
         found = sampler(x)

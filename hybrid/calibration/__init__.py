@@ -1,8 +1,12 @@
 """Kinematic calibration: the geometry of an arm from measured poses."""
 
-from hybrid.calibration.calibrate import Calibration, build_setup, calibrate
+from hybrid.calibration.calibrate import (
+    Calibration,
+    build_setup,
+    calibrate,
+    observability_index,
+)
 from hybrid.calibration.measurements import Measurements
-from hybrid.calibration.observability import observability_index
 from hybrid.calibration.poses import choose_poses, random_poses
 from hybrid.calibration.read import read_measurements
 from hybrid.calibration.validate import Errors, cross_validate

@@ -1,4 +1,4 @@
-"""Calibrate the geometry of an arm from measured poses."""
+"""Calibration of the geometry of an arm from measured poses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.calibration.align import align
+from hybrid.calibration.alignment import align
 from hybrid.calibration.geometry import (
     Geometry,
     chain_from_values,
@@ -19,7 +19,6 @@ from hybrid.calibration.geometry import (
 )
 from hybrid.calibration.measurements import Measurements
 from hybrid.calibration.model import KinematicModel, Steps, station_label
-from hybrid.calibration.observability import observability_index
 from hybrid.calibration.solve import KinematicSolution, Rejected, solve
 from hybrid.calibration.steps import follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
@@ -35,14 +34,14 @@ USUAL = ("base", "tool", "geometry")
 
 @dataclass(frozen=True)
 class Setup:
-    """The problem that :func:`calibrate` solves: an arm in front of an instrument.
+    """The problem that :func:`calibrate` solves.
 
     Attributes:
         robot: Nominal arm.
         geometry: Its axes as Denavit-Hartenberg rows.
-        model: From the instrument to the measured points, aligned.
-        labels: Free parameters; the first of equivalent ones is kept.
-        units: Their units.
+        model: Kinematics from the instrument to the measured points, aligned.
+        labels: Free parameters; of equivalent ones, the first is identified.
+        units: Units of the free parameters.
         load: Torque of gravity on each joint, shape (N, n), [N·m]; None if not used.
     """
 
@@ -60,8 +59,8 @@ class Calibration(Shown):
 
     Attributes:
         setup: The problem.
-        solution: Its estimates.
-        data: What it was fitted to.
+        solution: The estimates.
+        data: The measurements.
     """
 
     setup: Setup
@@ -96,12 +95,12 @@ class Calibration(Shown):
 
     @property
     def rejected(self) -> tuple[Rejected, ...]:
-        """Measurements that do not fit the others, and were left out."""
+        """Outliers, which were left out."""
         return self.solution.rejected
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
-        """Corrections that these measurements cannot tell apart, in words."""
+        """Corrections that these measurements do not identify, in words."""
         chain = self.setup.robot.chain
         lines = [
             f"{label}: joins {joined}" if joined else f"{label}: moves nothing measured"
@@ -117,18 +116,18 @@ class Calibration(Shown):
 
     @property
     def observability(self) -> float:
-        """Index O₁ of the poses used, in units of the noise; see ``poses``."""
+        """Observability index O₁ of the poses, in units of the noise."""
         return observability_index(self.solution.jacobian, self.data.size)
 
     @property
     def base(self) -> tuple[Array, Array]:
-        """Rotation (3, 3) and place (3,) [m] of the base in the instrument's frame."""
+        """Rotation (3, 3) and origin (3,) [m] of the base in the instrument's frame."""
         steps = self.setup.model.steps
         return self._frame(steps[: len(steps) - len(self.setup.geometry.steps)])
 
     @property
     def tools(self) -> list[tuple[Array, Array]]:
-        """Rotation (3, 3) and place (3,) [m] of each point on the last link."""
+        """Rotation (3, 3) and origin (3,) [m] of each point on the last link."""
         return [self._frame(steps) for steps in self.setup.model.tools]
 
     @property
@@ -144,7 +143,7 @@ class Calibration(Shown):
         """Write the robot's file with calibrated joint placements.
 
         Raises:
-            RobotError: The robot's file is gone, or has no place for a placement.
+            RobotError: The robot's file is missing, or cannot hold a placement.
 
         Warns:
             HybridWarning: The new file cannot be read from where it is.
@@ -166,7 +165,7 @@ class Calibration(Shown):
         return end.rotation[0], end.origin[0]
 
     def errors(self, data: Measurements) -> dict[str, Array]:
-        """Distance between model and measurement for each unit, by kind, [m or rad]."""
+        """Distance of model and measurement of each unit, by kind, [m or rad]."""
         load = _load(self.setup.robot, data.q, self.setup.load is not None)
         found = self.setup.model.blocks(
             data, self.solution.labels, self.solution.x, load
@@ -185,16 +184,16 @@ def calibrate(
 
     Args:
         robot: Nominal arm.
-        data: Static poses and what an instrument saw of them.
-        free: What is unknown: ``base`` and ``tool`` frames, ``geometry`` of the arm,
+        data: Measurements in static poses.
+        free: Unknowns: ``base`` and ``tool`` frames, ``geometry`` of the arm,
             ``compliance`` of its joints under gravity, ``scale`` of a distance meter.
-        robust: Whether measurements that do not fit the others are left out.
+        robust: Whether outliers are left out.
 
     Raises:
         CalibrationError: The data are not of this arm, or too few.
 
     Warns:
-        HybridWarning: The estimates have not settled.
+        HybridWarning: The estimates have not converged.
     """
     setup = build_setup(robot, data, free=free)
     if not setup.labels:
@@ -221,12 +220,12 @@ def calibrate(
 def build_setup(
     robot: Robot, data: Measurements, *, free: Collection[str] = USUAL
 ) -> Setup:
-    """The problem that :func:`calibrate` solves, aligned and ready to inspect.
+    """The problem that :func:`calibrate` solves, with initial estimates.
 
     Args:
         robot: Nominal arm.
-        data: Static poses and what an instrument saw of them.
-        free: What is unknown, of ``GROUPS``.
+        data: Measurements in static poses.
+        free: Unknowns, of ``GROUPS``.
 
     Raises:
         CalibrationError: The data are not of this arm, or a group is unknown.
@@ -253,8 +252,24 @@ def build_setup(
     return Setup(robot, geometry, model, tuple(labels), units, load)
 
 
-# Of parameters that cannot be told apart the first is kept: frames of the instrument
-# before those of the arm, angles of the drives before lengths before tilts.
+def observability_index(jacobian: Array, poses: int) -> float:
+    """Index O₁: geometric mean of the singular values over the root of the poses.
+
+    Borm and Menq 1991, doi 10.1177/027836499101000106. A larger index means a smaller
+    volume of the confidence region.
+
+    Args:
+        jacobian: Derivatives over noise, shape (rows, b).
+        poses: Number of poses N.
+    """
+    sizes = np.linalg.svd(jacobian, compute_uv=False)
+    if sizes[-1] <= 0:
+        return 0.0
+    return float(np.exp(np.log(sizes).mean()) / np.sqrt(poses))
+
+
+# Of equivalent parameters the first is identified: frames of the instrument before
+# those of the arm, joint angles before lengths before tilts.
 _ORDER = (
     "base", "tool", "reflector", "station", "theta", "a", "alpha", "d", "beta",
     "compliance", "scale",

@@ -1,13 +1,13 @@
-"""Covariance of estimates whose measurements share the errors of their pose.
+"""Cluster-robust covariance of estimates; the clusters are the poses.
 
-Points seen in one pose share what is wrong with it: the joints' positions, how the arm
-bends and what its geometry leaves out. Poses are independent, measurements within one
-need not be. With Q = J (JᵀJ)^½⁻¹ and the residuals r of each pose g,
+Measurements in one pose have common errors: of the joint positions, of deflection, and
+of the geometry that is not modelled. Errors of different poses are independent. With
+Q = J (JᵀJ)^½⁻¹ and the residuals r of each pose g,
 
     cov = (JᵀJ)^-½ [Σ_g Q_gᵀ (I − Q_g Q_gᵀ)^-½ r_g r_gᵀ (I − Q_g Q_gᵀ)^-½ Q_g] (JᵀJ)^-½
 
-which has no bias where all noise is alike and independent (CR2). Its own spread is that
-of a χ² with Satterthwaite's degrees of freedom. Bell & McCaffrey 2002; Imbens & Kolesár
+It has no bias if all noise is independent with one variance (CR2), and is distributed
+as χ² with Satterthwaite's degrees of freedom. Bell & McCaffrey 2002; Imbens & Kolesár
 2016, doi 10.1162/REST_a_00552.
 """
 
@@ -19,7 +19,7 @@ from scipy.linalg import solve_triangular
 
 from hybrid.arrays import Array
 
-_ALONE = 1e-9  # share of a measurement's noise that reaches its residual
+_SINGULAR = 1e-9  # share of a measurement's noise in its residual that counts as zero
 
 
 def clustered_covariance(
@@ -27,7 +27,7 @@ def clustered_covariance(
 ) -> tuple[Array, Array]:
     """Covariance of least-squares estimates, and the degrees of freedom of each.
 
-    What one pose alone tells leaves no residual there; it has the noise of its kind.
+    A direction that one pose alone determines has no residual; it gets unit noise.
 
     Args:
         jacobian: Derivatives over noise, shape (rows, b), of full rank; rows > b.
@@ -39,26 +39,28 @@ def clustered_covariance(
     """
     rows, size = jacobian.shape
     Q, R = np.linalg.qr(jacobian)
-    way = solve_triangular(R, np.eye(size))  # (b, b): from Q's unknowns to ours
+    transform = solve_triangular(R, np.eye(size))  # (b, b): from Q's unknowns to ours
     inner = np.zeros((size, size))
-    alone, lengths, shares = np.zeros(size), [], []
+    exact, lengths, shares = np.zeros(size), [], []
     for g in np.unique(pose):
         here = Q[pose == g]  # (rows of the pose, b)
         free, axes = np.linalg.eigh(np.eye(len(here)) - here @ here.T)
-        seen = free > _ALONE
-        untold = here.T @ axes[:, ~seen]
+        seen = free > _SINGULAR
+        exact_part = here.T @ axes[:, ~seen]
         inverse = axes[:, seen] / np.sqrt(free[seen]) @ axes[:, seen].T
-        told = here.T @ inverse  # (b, rows of the pose)
-        score = told @ residual[pose == g]
-        inner += np.outer(score, score) + untold @ untold.T
-        alone += ((way @ untold) ** 2).sum(axis=1)
-        lengths.append(((way @ told) ** 2).sum(axis=1))
-        shares.append(way @ told @ here)
-    # Under independent noise a variance is a quadratic form in it: diag(length) − S Sᵀ
-    # over the poses, whose trace is the variance (but for what is told alone).
+        weighted = here.T @ inverse  # (b, rows of the pose)
+        score = weighted @ residual[pose == g]
+        inner += np.outer(score, score) + exact_part @ exact_part.T
+        exact += ((transform @ exact_part) ** 2).sum(axis=1)
+        lengths.append(((transform @ weighted) ** 2).sum(axis=1))
+        shares.append(transform @ weighted @ here)
+    # Under independent noise a variance is a quadratic form of it: diag(length) − S Sᵀ
+    # over the poses, whose trace is the variance (without the directions of one pose).
     length, share = np.array(lengths), np.array(shares)  # (G, b), (G, b, b)
-    both = np.einsum("gkm,hkm->kgh", share, share)
-    square = (both**2).sum(axis=(1, 2)) + (length**2).sum(axis=0)
+    products = np.einsum("gkm,hkm->kgh", share, share)
+    square = (products**2).sum(axis=(1, 2)) + (length**2).sum(axis=0)
     square -= 2 * (length * np.einsum("gkm,gkm->gk", share, share)).sum(axis=0)
-    whole = (way**2).sum(axis=1)
-    return way @ inner @ way.T, whole**2 / (square + alone**2 / (rows - size))
+    variance = (transform**2).sum(axis=1)
+    return transform @ inner @ transform.T, variance**2 / (
+        square + exact**2 / (rows - size)
+    )

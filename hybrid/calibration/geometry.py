@@ -1,9 +1,9 @@
-"""Joint axes of an arm as modified Denavit-Hartenberg rows, and back.
+"""Conversion between joint axes and modified Denavit-Hartenberg rows.
 
-Between neighbouring axes a row holds the distance a and the angle α about their common
-normal, along each axis the angle θ and the shift d. The common normal of near-parallel
-axes jumps with their smallest change; there a second angle β takes the place of the
-first axis' d: Hayati and Mirmirani 1985, doi 10.1002/rob.4620020406.
+A row has the distance a and the angle α between neighbouring axes, along and about
+their common normal, and the angle θ and the shift d about and along each axis. The
+common normal of nearly parallel axes is ill-conditioned; there a second angle β
+replaces the first axis' d: Hayati and Mirmirani 1985, doi 10.1002/rob.4620020406.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class Geometry:
     """An arm from its base frame to the frame of its last link.
 
     Attributes:
-        rows: Steps up to and with each joint, length n.
-        last: From the frame after the last row to the last link's own.
-        parallel: For each joint, whether the next one's axis is parallel.
+        rows: Steps up to each joint, including it, length n.
+        last: Step from the frame after the last row to the last link's frame.
+        parallel: Whether the axis of the next joint is parallel, for each joint.
     """
 
     rows: tuple[tuple[FixedStep | Step, ...], ...]
@@ -42,11 +42,7 @@ class Geometry:
 
 
 def geometry_from_chain(chain: Chain) -> Geometry:
-    """Rows of an arm; their parameters are named by joint, as ``theta_elbow``.
-
-    Args:
-        chain: Any serial chain; its file's own frames need follow no convention.
-    """
+    """Rows of an arm; their parameters are named by joint, as ``theta_elbow``."""
     rotation, point = zero_frames(chain)
     axis = np.einsum("kij,kj->ki", rotation, chain.axis)
     rows: list[tuple[FixedStep | Step, ...]] = []
@@ -62,7 +58,7 @@ def geometry_from_chain(chain: Chain) -> Geometry:
         rows.append((*lead, *_joint(chain, k, theta, d, shifts=not next_parallel)))
         parallel.append(next_parallel)
         if k + 1 < chain.size:
-            lead, R, origin = _gap(frame, chain.joints[k + 1])
+            lead, R, origin = _normal_steps(frame, chain.joints[k + 1])
     D = frames[-1].rotation
     last = FixedStep(D.T @ rotation[-1], D.T @ (point[-1] - frames[-1].origin))
     return Geometry(tuple(rows), last, tuple(parallel))
@@ -85,7 +81,7 @@ def chain_from_values(
     parent, parent_origin = np.eye(3), np.zeros(3)
     for k, row in enumerate(geometry.rows):
         old, new = follow(old, row, q, {}), follow(new, row, q, values)
-        # A link's own frame sits still in the frame of its row.
+        # A link's own frame is fixed in the frame of its row.
         to_new = new.rotation[0] @ old.rotation[0].T
         R = to_new @ rotations[k]
         origin = new.origin[0] + to_new @ (origins[k] - old.origin[0])
@@ -105,40 +101,43 @@ class _RowFrame:
     beta: float | None = None
 
 
-def _frames(axis: Array, point: Array, last: Array) -> list[_RowFrame]:
-    frames = []
-    here = point[0]
+def _frames(axis: Array, points: Array, last: Array) -> list[_RowFrame]:
+    frames, point = [], points[0]
     for k in range(len(axis) - 1):
-        frame, here = _normal(axis[k], here, axis[k + 1], point[k + 1])
+        frame, point = _common_normal(axis[k], point, axis[k + 1], points[k + 1])
         frames.append(frame)
-    frames.append(_RowFrame(_frame_of(_perpendicular(axis[-1], last), axis[-1]), here))
+    frames.append(_RowFrame(_axes(_perpendicular(axis[-1], last), axis[-1]), point))
     return frames
 
 
-def _normal(z: Array, here: Array, w: Array, there: Array) -> tuple[_RowFrame, Array]:
-    """The row frame on axis z, and the point on the next axis w that it leads to."""
+def _common_normal(
+    z: Array, point: Array, w: Array, next_point: Array
+) -> tuple[_RowFrame, Array]:
+    """The row frame on axis z, and the foot of the normal on the next axis w."""
     across = np.cross(z, w)
     size = float(np.linalg.norm(across))
     if size < PARALLEL:
-        target = there + w * (z @ (here - there)) / (z @ w)
-        offset = target - here
+        target = next_point + w * (z @ (point - next_point)) / (z @ w)
+        offset = target - point
         a = float(np.linalg.norm(offset))
         x = offset / a if a > 1e-9 else _perpendicular(z, np.eye(3))
-        origin = here
+        origin = point
     else:
         x = across / size
-        along = float(np.cross(there - here, w) @ across) / size**2
-        origin = here + along * z
-        a = float((there - here) @ x)
+        along = float(np.cross(next_point - point, w) @ across) / size**2
+        origin = point + along * z
+        a = float((next_point - point) @ x)
         target = origin + a * x
-    R = _frame_of(x, z)
+    R = _axes(x, z)
     wx, wy, wz = R.T @ w
     beta = float(np.arcsin(np.clip(wx, -1.0, 1.0))) if size < PARALLEL else None
     return _RowFrame(R, origin, a, float(np.arctan2(-wy, wz)), beta), target
 
 
-def _gap(frame: _RowFrame, joint: str) -> tuple[list[FixedStep | Step], Array, Array]:
-    """Steps over the common normal, and the frame that they lead to at q = 0."""
+def _normal_steps(
+    frame: _RowFrame, joint: str
+) -> tuple[list[FixedStep | Step], Array, Array]:
+    """Steps along the common normal, and the frame after them at q = 0."""
     steps: list[FixedStep | Step] = [
         Step(0, False, frame.a, f"a_{joint}"),
         Step(0, True, frame.alpha, f"alpha_{joint}"),
@@ -153,7 +152,7 @@ def _gap(frame: _RowFrame, joint: str) -> tuple[list[FixedStep | Step], Array, A
 def _joint(
     chain: Chain, k: int, theta: float, d: float, *, shifts: bool
 ) -> tuple[Step, ...]:
-    """Turn and shift along the joint's axis; its deflection under load beside them."""
+    """Rotation and shift along the joint's axis, and its deflection under load."""
     name, turns = chain.joints[k], bool(chain.revolute[k])
     return (
         Step(2, True, theta, f"theta_{name}", k if turns else None),
@@ -162,12 +161,12 @@ def _joint(
     )
 
 
-def _frame_of(x: Array, z: Array) -> Array:
+def _axes(x: Array, z: Array) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
 def _perpendicular(z: Array, rotation: Array) -> Array:
-    """The column of a rotation that is farthest from z, made perpendicular to it."""
+    """The column of a rotation with the largest angle to z, made perpendicular to z."""
     column = rotation[:, int(np.argmin(np.abs(z @ rotation)))]
     x = column - z * (z @ column)
     unit: Array = x / np.linalg.norm(x)

@@ -14,10 +14,10 @@ from hybrid.errors import CalibrationError
 
 @dataclass(frozen=True)
 class Measurements:
-    """N static poses and what an instrument saw of each; NaN where it saw nothing.
+    """Measurements in N static poses; NaN where nothing was measured.
 
-    Either points on the flange (reflectors), the first of them with an orientation if
-    that was measured too, or distances of one point from stations that stand still.
+    Either points on the flange (reflectors), the first with an orientation if that was
+    measured too, or distances of one point from fixed stations.
 
     Attributes:
         q: Joint positions, shape (N, n), [rad or m].
@@ -74,17 +74,17 @@ class Measurements:
 
     @property
     def reflectors(self) -> int:
-        """Number of points r that were measured on the flange."""
+        """Number of measured points r on the flange."""
         return int(self.position.shape[1])
 
     @property
     def stations(self) -> int:
-        """Number of stations s that distances were measured from."""
+        """Number of stations s of a distance meter."""
         return 0 if self.distance is None else self.distance.shape[1]
 
     @cached_property
     def kind(self) -> str:
-        """``pose``, ``position`` or ``distance``, in words for a reader."""
+        """Kind of the measurements: ``pose``, ``position`` or ``distance``."""
         if self.stations:
             return "distance"
         return "position" if self.rotation is None else "pose"

@@ -19,12 +19,12 @@ Steps = tuple[FixedStep | Step, ...]
 
 @dataclass(frozen=True)
 class Block:
-    """Residuals of one kind: U units (a point, an orientation) of c components each.
+    """Residuals of one kind: U units (points, orientations) of c components each.
 
     Attributes:
         name: ``position``, ``orientation`` or ``distance``.
         residual: Model − measurement, shape (U, c), [m or rad].
-        jacobian: Its derivative, shape (U, c, p).
+        jacobian: Derivative of the residual, shape (U, c, p).
         pose: Index of the pose of each unit, shape (U,).
     """
 
@@ -36,13 +36,13 @@ class Block:
 
 @dataclass(frozen=True)
 class KinematicModel:
-    """Way from the instrument over the arm to each measured point.
+    """Kinematics from the instrument along the arm to each measured point.
 
     Attributes:
         steps: From the instrument's frame to the flange.
-        tools: From the flange to each measured point, r of them.
-        stations: Assumed stations of a distance meter, shape (s, 3), [m]; the unknown
-            parts are named ``station_1_x`` and so on.
+        tools: From the flange to each of the r measured points.
+        stations: Initial stations of a distance meter, shape (s, 3), [m]; their
+            corrections are named ``station_1_x`` and so on.
     """
 
     steps: Steps
@@ -51,8 +51,8 @@ class KinematicModel:
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
-        """Names of all parameters, in the order in which they are met."""
-        met = [
+        """Names of all parameters, in their order along the kinematics."""
+        found = [
             step.parameter
             for step in (*self.steps, *(step for tool in self.tools for step in tool))
             if isinstance(step, Step) and step.parameter
@@ -61,7 +61,7 @@ class KinematicModel:
             station_label(j, c) for j in range(len(self.stations)) for c in range(3)
         ]
         scale = ["scale"] if stations else []
-        return tuple(dict.fromkeys([*met, *stations, *scale]))
+        return tuple(dict.fromkeys([*found, *stations, *scale]))
 
     def frames(
         self,
@@ -88,7 +88,7 @@ class KinematicModel:
         x: Array,
         load: Array | None = None,
     ) -> list[Block]:
-        """Residuals and their derivatives; what was not seen is left out.
+        """Residuals and their derivatives, without missing measurements.
 
         Args:
             data: N measured poses.
@@ -132,7 +132,7 @@ class KinematicModel:
 
 
 def station_label(j: int, c: int) -> str:
-    """Name of coordinate c of station j, both from zero: ``station_1_x``."""
+    """Name of coordinate c of station j, as ``station_1_x`` for 0 and 0."""
     return f"station_{j + 1}_{'xyz'[c]}"
 
 
@@ -153,13 +153,13 @@ def _velocities(frame: Frame, labels: Sequence[str]) -> tuple[Array, Array]:
 
 
 def _block(name: str, residual: Array, jacobian: Array) -> Block:
-    """Residuals (N, r, c) and derivatives (N, r, c, p) of what was seen."""
+    """Block of the finite residuals (N, r, c) and derivatives (N, r, c, p)."""
     seen = np.isfinite(residual).all(axis=-1)
     return Block(name, residual[seen], jacobian[seen], np.nonzero(seen)[0])
 
 
 def _orientations(measured: Array, model: Array, angular: Array) -> Block:
-    """Turn from the measured to the modelled orientation, as a rotation vector."""
+    """Block of rotation vectors from the measured to the modelled orientation."""
     seen = np.isfinite(measured).all(axis=(1, 2))
     turn = model[seen] @ measured[seen].swapaxes(1, 2)
     vector = Rotation.from_matrix(turn).as_rotvec()
@@ -173,7 +173,7 @@ def _log_derivative(vector: Array) -> Array:
     Inverse left Jacobian of SO(3): Barfoot 2017, doi 10.1017/9781316671528, eq. 7.77.
     """
     angle = np.linalg.norm(vector, axis=-1)
-    far = np.maximum(angle, 1e-3)  # below, the factor is 1/12 to seven digits
+    far = np.maximum(angle, 1e-3)  # below, the factor is 1/12 to 7 digits
     factor = 1 / far**2 - (1 + np.cos(far)) / (2 * far * np.sin(far))
     skew = np.cross(np.eye(3), vector[:, None, :])  # row k: eₖ × v
     derivative: Array = np.eye(3) - 0.5 * skew + factor[:, None, None] * (skew @ skew)

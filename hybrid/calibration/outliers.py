@@ -1,11 +1,11 @@
-"""Test how badly each measurement fits the others.
+"""Outlier test of each measurement against the prediction by the others.
 
-Where parameters are many, a fit bends towards each measurement, so that its residual
-says little. The rule is that of prediction: with S = I − H the covariance of a fitted
-unit's residual, and S = I + H that of one left out, rᵀS⁻¹r follows the distributions of
-beta and of Fisher, and the verdict is the same whether the unit was fitted or left out
-(deletion residuals: Cook & Weisberg 1982, ch. 2.2; a kept set that grows by them: Hadi
-1992, doi 10.1111/j.2517-6161.1992.tb01449.x).
+With many parameters, a fit follows each measurement, so its residual is small. The test
+uses the prediction by the other measurements. The covariance of a residual is S = I − H
+for a fitted unit, and S = I + H for one left out. rᵀS⁻¹r has a beta distribution in the
+first case and an F distribution in the second, and the result is the same in both
+(deletion residuals: Cook & Weisberg 1982, ch. 2.2; a set of inliers that grows by them:
+Hadi 1992, doi 10.1111/j.2517-6161.1992.tb01449.x).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from scipy.stats import f as fisher
 
 from hybrid.arrays import Array
 
-OUTSIDE = 5e-4  # share of good measurements that the rejection costs
-_SINGULAR = 1e-9  # of the noise: what a unit alone tells leaves no residual
+OUTSIDE = 5e-4  # probability that a good measurement is rejected
+_SINGULAR = 1e-9  # share of the noise in a residual that counts as zero
 
 
 def misfit(
@@ -28,14 +28,14 @@ def misfit(
     kept: NDArray[np.bool_],
     freedom: float,
 ) -> Array:
-    """Size of each unit over the largest that chance gives it, shape (U,).
+    """Size of each unit's residual over the bound of the outlier test, shape (U,).
 
     Args:
-        residual: Over noise, shape (U, c).
+        residual: Residuals over noise, shape (U, c).
         jacobian: Derivatives over noise, shape (U, c, b).
-        inverse: Covariance of the estimates from what is kept, shape (b, b).
-        kept: What the estimates are fitted to, shape (U,).
-        freedom: Degrees of freedom that the noise was estimated with.
+        inverse: Covariance of the estimates from the kept units, shape (b, b).
+        kept: Units that the estimates are fitted to, shape (U,).
+        freedom: Degrees of freedom of the noise estimate.
     """
     size = residual.shape[1]
     H = jacobian @ inverse @ jacobian.swapaxes(1, 2)  # (U, c, c)

@@ -1,4 +1,4 @@
-"""Choose the poses that tell most about the parameters."""
+"""Optimal choice of poses for a calibration."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _ROUNDS = 20  # of exchanges; three or four are usual
 def random_poses(
     robot: Robot, count: int, seed: int | np.random.Generator = 0
 ) -> Array:
-    """Poses spread evenly over the joint limits, shape (count, n), [rad or m].
+    """Uniformly random poses within the joint limits, shape (count, n), [rad or m].
 
-    A joint without limits gets a full turn. Collisions are not looked at.
+    A joint without limits gets a full turn. Collisions are not checked.
 
     Raises:
         CalibrationError: A linear joint has no limits.
@@ -45,17 +45,17 @@ def choose_poses(
     kind: str = "position",
     free: tuple[str, ...] = USUAL,
 ) -> NDArray[np.intp]:
-    """Choose the poses with the greatest observability index O₁.
+    """Choose the poses with the largest observability index O₁.
 
-    Poses are added one by one, each the best beside those before it, and exchanged
-    afterwards while that helps: Mitchell 1974, doi 10.1080/00401706.1974.10489175.
+    Poses are added one by one, each the best addition, and then exchanged while that
+    increases the index: Mitchell 1974, doi 10.1080/00401706.1974.10489175.
 
     Args:
         robot: Nominal arm.
         candidates: Poses to choose from, shape (C, n), [rad or m].
-        count: How many to choose.
-        kind: What will be measured: ``position`` of a point or ``pose`` of the tool.
-        free: What will be unknown; see :func:`~hybrid.calibration.calibrate`.
+        count: Number of poses to choose.
+        kind: Kind of measurement: ``position`` of a point or ``pose`` of the tool.
+        free: Unknowns; see :func:`~hybrid.calibration.calibrate`.
 
     Returns:
         Rows of the chosen poses in increasing order, shape (count,).
@@ -67,10 +67,10 @@ def choose_poses(
     least = -(-J.shape[2] // J.shape[1]) + 1
     if not least <= count <= len(candidates):
         raise CalibrationError(
-            f"{count} poses; valid are {least}, so that they tell {J.shape[2]} "
+            f"{count} poses; valid are {least}, to identify {J.shape[2]} "
             f"parameters, to {len(candidates)}, the number of candidates"
         )
-    # A little of everything, so that the first choices have a volume to enlarge.
+    # A small prior information, so that the first determinants are not zero.
     information = 1e-9 * np.einsum("ncb,ncd->bd", J, J)
     chosen: list[int] = []
     for _ in range(count):
@@ -93,7 +93,7 @@ def choose_poses(
 
 
 def _gain(information: Array, J: Array) -> Array:
-    """Growth of log det by each candidate, shape (C,)."""
+    """Increase of log det by each candidate, shape (C,)."""
     factor = np.linalg.cholesky(information)
     part = np.linalg.solve(factor, J.reshape(-1, J.shape[2]).T).T.reshape(J.shape)
     inner = np.eye(J.shape[1]) + part @ part.swapaxes(1, 2)
@@ -102,7 +102,7 @@ def _gain(information: Array, J: Array) -> Array:
 
 
 def _jacobians(robot: Robot, q: Array, kind: str, free: tuple[str, ...]) -> Array:
-    """Derivatives over noise of what will be measured, shape (C, c, b)."""
+    """Derivatives of the measurements over noise, shape (C, c, b)."""
     if kind not in ("position", "pose"):
         raise CalibrationError(f"no measurement {kind!r}; valid are position and pose")
     data = _nominal(robot, q, kind)
@@ -115,9 +115,9 @@ def _jacobians(robot: Robot, q: Array, kind: str, free: tuple[str, ...]) -> Arra
 
 
 def _nominal(robot: Robot, q: Array, kind: str) -> Measurements:
-    """Simulated measurements of a point beside the flange of the nominal arm."""
+    """Simulated measurements of a point near the flange of the nominal arm."""
     flange = follow(start(q), geometry_from_chain(robot.chain).steps, q, {})
-    # A tool in general position: a point on the last axis would hide its turns.
+    # A general point, since one on the last axis would not show its rotation.
     point = flange.origin + flange.rotation @ np.array([0.05, 0.07, 0.1])
     rotation = flange.rotation if kind == "pose" else None
     return Measurements(q, point[:, None], rotation)

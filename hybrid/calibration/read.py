@@ -1,4 +1,4 @@
-"""Measured poses from a CSV file."""
+"""Reader of measurements from a CSV file."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ VALID = (
 def read_measurements(path: str | Path, joints: Sequence[str]) -> Measurements:
     """Read one line of column names and one line for each pose.
 
-    An empty cell, or nan, is a point, orientation or distance that was not seen.
+    An empty cell, or nan, means that the value was not measured.
 
     Args:
         path: File; comma, semicolon or tab between cells, decimal point.
         joints: Joint names, base to tip.
 
     Raises:
-        CalibrationError: A column is missing, unknown or doubled, a cell is no number;
-            the message names file, column and row.
+        CalibrationError: A column is missing, unknown or doubled, or a cell is no
+            number; the message names file, column and row.
     """
     columns = _columns(Path(path))
     size = len(next(iter(columns.values())))
@@ -80,7 +80,7 @@ def read_measurements(path: str | Path, joints: Sequence[str]) -> Measurements:
 
 
 def _columns(path: Path) -> dict[str, Array]:
-    """Columns in SI units by their name in small letters, without the unit."""
+    """Columns in SI units by their name in lower case, without the unit."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -145,7 +145,7 @@ def _joint(
 def _numbered(
     columns: dict[str, Array], pattern: re.Pattern[str]
 ) -> dict[tuple[str, int], str]:
-    """Column names by what they hold and its number; none is the first."""
+    """Column names by kind and number; a missing number is 1."""
     found = {}
     for name in columns:
         if match := pattern.fullmatch(name):

@@ -1,8 +1,8 @@
-"""Levenberg-Marquardt on the identifiable parameters, without outliers.
+"""Nonlinear least squares on the identifiable parameters, without outliers.
 
-Residuals are weighed by the noise of their kind, which is estimated with them. A robust
-loss finds the scale of the noise; what then lies beyond its distribution is left out by
-name, and plain least squares over the rest gives estimates.
+Residuals are weighted by the noise of their kind of measurement, which is estimated as
+well. A robust loss finds the scale of the noise, outliers are then rejected, and plain
+least squares on the rest gives the estimates.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from hybrid.calibration.outliers import misfit
 from hybrid.dynamics.base import BaseParameters, base_parameters
 from hybrid.errors import CalibrationError
 
-USUAL_NOISE = 1e-4  # m or rad: weights before anything is known
-LEAST_NOISE = 1e-9  # m or rad: below it weights would come from rounding
-_NORMAL = 1.4826  # standard deviation of a normal variable over its median size
-_ROUNDS = 20
+USUAL_NOISE = 1e-4  # m or rad, initial noise
+LEAST_NOISE = 1e-9  # m or rad, smallest noise, above rounding errors
+_NORMAL = 1.4826  # standard deviation of a normal variable over its median magnitude
+_ROUNDS = 20  # of rejection and reweighting
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """A measurement that does not fit: its pose, its kind, how far off [m or rad]."""
+    """An outlier: its pose, its kind, and the size of its residual, [m or rad]."""
 
     pose: int
     kind: str
@@ -46,14 +46,14 @@ class KinematicSolution:
     Attributes:
         labels: Names, length b.
         x: Estimates, shape (b,), [m, rad, ...].
-        covariance: Of the estimates, shape (b, b); poses are independent.
+        covariance: Covariance of the estimates, shape (b, b), clustered by pose.
         degrees: Degrees of freedom of each estimate's variance, shape (b,).
         noise: Standard deviation of each kind of measurement, [m or rad].
-        reduced: Which parameters were kept, and what became of the others.
+        reduced: The identifiable parameters, and relations of the others to them.
         jacobian: Derivatives over noise at the estimate, shape (rows, b).
-        rejected: Measurements left out.
-        iterations: Linearisations made, in all rounds together.
-        evaluations: Evaluations of the model, in all rounds together.
+        rejected: Outliers.
+        iterations: Number of linearisations in all rounds.
+        evaluations: Number of evaluations of the model in all rounds.
         converged: Whether the last round met its tolerance.
     """
 
@@ -95,17 +95,17 @@ def solve(
     load: Array | None = None,
     robust: bool = True,
 ) -> KinematicSolution:
-    """Estimate the parameters that these poses reveal.
+    """Estimate the parameters that these poses identify.
 
     Args:
-        model: From the instrument to the measured points.
-        data: What was measured.
-        labels: Free parameters; of several that cannot be told apart, the first stays.
-        units: Their units.
-        frames: How many of the first labels place instrument and tool. They are fitted
-            to the nominal arm first: a tool guessed on an axis would hide parameters.
+        model: Kinematics from the instrument to the measured points.
+        data: The measurements.
+        labels: Free parameters; of equivalent ones, the first is estimated.
+        units: Units of the free parameters.
+        frames: Number of first labels that place instrument and tool. They are fitted
+            to the nominal arm first, because a tool on an axis would hide parameters.
         load: Load of each joint, shape (N, n), [N·m].
-        robust: Whether measurements that do not fit are found and left out.
+        robust: Whether outliers are rejected.
 
     Raises:
         CalibrationError: There are not more measurements than parameters.
@@ -124,11 +124,11 @@ def solve(
         settled = not robust or fit.reject(x)
         before = dict(fit.noise)
         x = fit.minimise(x)
-        fit.weigh(x)
+        fit.estimate_noise(x)
         # With one kind of measurement, weights only scale the whole sum of squares.
         if settled and (len(before) == 1 or _change(before, fit.noise) < 0.02):
             break
-    residual, jacobian = fit.weighed(x)
+    residual, jacobian = fit.weighted(x)
     covariance, degrees = clustered_covariance(jacobian, residual, fit.poses(x))
     return KinematicSolution(
         labels=reduced.kept_labels,
@@ -150,7 +150,7 @@ def _change(before: Mapping[str, float], after: Mapping[str, float]) -> float:
 
 
 class _Fit:
-    """Residuals with their weights, and a count of what they cost."""
+    """Weighted residuals, noise estimates and rejected measurements."""
 
     def __init__(
         self, model: KinematicModel, data: Measurements, load: Array | None
@@ -171,14 +171,14 @@ class _Fit:
         units: tuple[str, ...],
         values: Mapping[str, float],
     ) -> BaseParameters:
-        """Keep the parameters that can be told apart at these values; absent are 0."""
+        """Keep the parameters that are identifiable at these values; 0 if absent."""
         self.labels = labels
         x = np.array([values.get(label, 0.0) for label in labels])
         self._last = (np.full(1, np.nan), [])
         blocks = self.blocks(x)
         self.noise = {b.name: USUAL_NOISE for b in blocks}
         self.kept = {b.name: np.ones(len(b.pose), dtype=bool) for b in blocks}
-        jacobian = self.weighed(x)[1]
+        jacobian = self.weighted(x)[1]
         if not len(jacobian):
             raise CalibrationError(f"{self.data.source}: nothing was measured")
         reduced = base_parameters(jacobian, labels, units)
@@ -187,7 +187,7 @@ class _Fit:
             raise CalibrationError(
                 f"{self.data.source}: {self.rows} numbers were measured in "
                 f"{self.data.size} poses; valid are more than the {reduced.size} "
-                "parameters that they shall tell"
+                "parameters to estimate"
             )
         share = 1 - reduced.size / self.rows
         self.freedom = {b.name: share * b.residual.size for b in blocks}
@@ -202,7 +202,7 @@ class _Fit:
             self.evaluations += 1
         return self._last[1]
 
-    def weighed(self, x: Array) -> tuple[Array, Array]:
+    def weighted(self, x: Array) -> tuple[Array, Array]:
         """Residuals and derivatives over noise, shapes (rows,) and (rows, p)."""
         residual, jacobian = [], []
         for b in self.blocks(x):
@@ -220,10 +220,10 @@ class _Fit:
         return np.concatenate(rows)
 
     def _residual(self, x: Array) -> Array:
-        return self.weighed(x)[0]
+        return self.weighted(x)[0]
 
     def _jacobian(self, x: Array) -> Array:
-        return self.weighed(x)[1]
+        return self.weighted(x)[1]
 
     def minimise(
         self, x: Array, *, loss: Literal["linear", "cauchy"] = "linear"
@@ -262,23 +262,23 @@ class _Fit:
         return x
 
     def reject(self, x: Array) -> bool:
-        """Leave out units that the others predict badly; True if the same as before.
+        """Reject units that the others predict badly; True if nothing changed.
 
-        So many stay that they outvote those that go, as in least trimmed squares.
+        The majority always stays, as in least trimmed squares.
         """
         before, rows = self.kept, sum(b.residual.size for b in self.blocks(x))
-        R = np.linalg.qr(self.weighed(x)[1], mode="r")
-        way = np.linalg.inv(R)
+        R = np.linalg.qr(self.weighted(x)[1], mode="r")
+        root = np.linalg.inv(R)
         least = (rows + len(x) + 1) / 2 / rows
         self.kept, self.rejected = {}, []
         for b in self.blocks(x):
             noise, kept = self.noise[b.name], before[b.name]
-            over = misfit(
-                b.residual / noise, b.jacobian / noise, way @ way.T, kept,
+            ratio = misfit(
+                b.residual / noise, b.jacobian / noise, root @ root.T, kept,
                 self.freedom[b.name],
             )  # fmt: skip
-            bound = max(1.0, float(np.quantile(over, least, method="higher")))
-            self.kept[b.name] = over <= bound
+            bound = max(1.0, float(np.quantile(ratio, least, method="higher")))
+            self.kept[b.name] = ratio <= bound
             size = np.linalg.norm(b.residual, axis=1)
             self.rejected += [
                 Rejected(int(b.pose[k]), b.name, float(size[k]))
@@ -286,9 +286,9 @@ class _Fit:
             ]
         return all(np.array_equal(before[kind], self.kept[kind]) for kind in before)
 
-    def weigh(self, x: Array) -> None:
-        """Noise of each kind from its residuals and its share of the freedom left."""
-        Q = np.linalg.qr(self.weighed(x)[1])[0]
+    def estimate_noise(self, x: Array) -> None:
+        """Estimate the noise of each kind from its residuals and degrees of freedom."""
+        Q = np.linalg.qr(self.weighted(x)[1])[0]
         row = 0
         for b in self.blocks(x):
             residual = b.residual[self.kept[b.name]].ravel()

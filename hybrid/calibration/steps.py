@@ -1,8 +1,8 @@
-"""A kinematic chain as a product of elementary turns and shifts along x, y or z.
+"""A kinematic chain as a product of rotations about and shifts along x, y or z.
 
-Every table of joint frames, Denavit-Hartenberg's in all its variants among them, is
-such a product, and the derivative of the pose with respect to any one factor is the
-screw of that factor: Corke 2007, doi 10.1109/TRO.2007.896765.
+All conventions of joint frames, such as the variants of Denavit-Hartenberg, are such
+products. The derivative of the pose by any factor is the screw of that factor: Corke
+2007, doi 10.1109/TRO.2007.896765.
 """
 
 from __future__ import annotations
@@ -32,17 +32,18 @@ class FixedStep:
 
 @dataclass(frozen=True)
 class Step:
-    """A turn about, or a shift along, one axis of the frame reached so far.
+    """A rotation about, or a shift along, one axis of the present frame.
 
     Its size is ``nominal`` + parameter · (load of joint ``load``) + q of joint
-    ``joint``; each of the last two terms may be absent, and the load then is one.
+    ``joint``. Without ``load`` the parameter is not multiplied, without ``joint``
+    nothing is added.
 
     Attributes:
         axis: 0, 1 or 2 for x, y or z.
-        turns: True for a turn, False for a shift.
+        turns: True for a rotation, False for a shift.
         nominal: Constant part, [rad or m].
         parameter: Name of the unknown part; empty without one.
-        joint: Index of the joint that moves it.
+        joint: Index of the joint whose position is added.
         load: Index of the joint whose load multiplies the parameter.
     """
 
@@ -56,12 +57,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Screw:
-    """How what follows moves with one parameter, for N samples.
+    """Derivative of the following frames by one parameter, for N samples.
 
     Attributes:
         axis: Direction, shape (..., N, 3); its length is the rate.
-        origin: A point on the axis of a turn, shape (..., N, 3), [m].
-        turns: True for a turn, False for a shift.
+        origin: A point on the axis of a rotation, shape (..., N, 3), [m].
+        turns: True for a rotation, False for a shift.
     """
 
     axis: Array
@@ -71,12 +72,12 @@ class Screw:
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a product of factors leads, for N samples.
+    """The frame after a product of factors, for N samples.
 
     Attributes:
         rotation: Shape (..., N, 3, 3).
         origin: Shape (..., N, 3), [m].
-        screws: The parameters met on the way.
+        screws: Screw of each parameter of the factors, by name.
     """
 
     rotation: Array
@@ -98,15 +99,16 @@ def follow(
     values: Values,
     load: Array | None = None,
 ) -> Frame:
-    """The frame after some more factors.
+    """The frame after more factors.
 
     Args:
-        frame: Where to begin.
+        frame: The first frame.
         steps: Factors, in order.
         q: Joint positions, shape (N, n), [rad or m].
-        values: Parameters by name; absent ones are zero. A value of shape (P,) stands
-            for P arms at once, if ``frame`` has that batch.
-        load: Load of each joint, shape (N, n); without it, steps under load stay still.
+        values: Parameters by name; absent ones are zero. Values of shape (P,) are those
+            of P arms, if ``frame`` has that batch.
+        load: Load of each joint, shape (N, n); without it, steps with a load are left
+            out.
     """
     R, origin, screws = frame.rotation, frame.origin, dict(frame.screws)
     for step in steps:
@@ -142,7 +144,7 @@ def _turned(R: Array, axis: int, angle: Array) -> Array:
 
 
 def free_frame(prefix: str, *, turns: bool = True) -> tuple[Step, ...]:
-    """Three unknown shifts, then three unknown turns: ``base_x`` to ``base_rz``."""
+    """Three unknown shifts, then three unknown rotations: ``base_x`` to ``base_rz``."""
     shifts = tuple(Step(k, False, parameter=f"{prefix}_{'xyz'[k]}") for k in range(3))
     if not turns:
         return shifts

@@ -1,4 +1,4 @@
-"""Cross-validate a calibration on poses left out of it."""
+"""Cross-validation of a calibration on held-out poses."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hybrid.robot import Robot
 
 @dataclass(frozen=True)
 class Errors:
-    """Distance between model and measurement, on poses left out of the fit.
+    """Distance of model and measurement on held-out poses, by kind of measurement.
 
     Attributes:
-        nominal: With frames fitted and the arm as its file has it, by kind of
-            measurement, shape (units,), [m or rad].
-        calibrated: With everything fitted, likewise.
+        nominal: Errors of the nominal arm with fitted frames, shape (units,), [m or
+            rad].
+        calibrated: Errors of the calibrated arm, shape (units,), [m or rad].
     """
 
     nominal: dict[str, Array]
@@ -40,11 +40,10 @@ def cross_validate(
 
     Args:
         robot: Nominal arm.
-        data: Static poses and what an instrument saw of them.
-        free: What is unknown; see :func:`~hybrid.calibration.calibrate`.
-        robust: Whether measurements that do not fit the others are left out of the
-            fits. The errors are of all measurements, those too.
-        folds: Number of parts.
+        data: Measurements in static poses.
+        free: Unknowns; see :func:`~hybrid.calibration.calibrate`.
+        robust: Whether outliers are left out of the fits. The errors include them.
+        folds: Number of folds.
 
     Raises:
         CalibrationError: There are too few poses.
@@ -77,7 +76,7 @@ def _errors(
 ) -> dict[str, Array]:
     if build_setup(robot, fit, free=free).labels:
         return calibrate(robot, fit, free=free, robust=robust).errors(test)
-    # Base and tool are known: there is nothing to fit to the nominal arm.
+    # Base and tool are known, so there is nothing to fit to the nominal arm.
     setup = build_setup(robot, test, free=free)
     blocks = setup.model.blocks(test, (), np.zeros(0))
     return {b.name: np.linalg.norm(b.residual, axis=1) for b in blocks}

@@ -1,4 +1,4 @@
-"""Learned remainders: the torque that no physical term explains."""
+"""Learned remainders of the torque that no physical term explains."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ __all__ = [
 
 
 class Remainder(Protocol):
-    """The interface of every learned remainder.
+    """The interface of a learned remainder.
 
-    A class also has ``fit(x, y, ...)``. Each is bounded, fades to zero outside its data
-    and refuses NaN.
+    It is bounded, fades to zero outside its data, and refuses NaN.
     """
 
     kind: ClassVar[str]
@@ -43,17 +42,17 @@ class Remainder(Protocol):
         """Mean, shape (N, m), [N·m], and variance, shape (N, m), [(N·m)²]."""
 
     def arrays(self) -> dict[str, NDArray[np.float64]]:
-        """Everything to save, by name."""
+        """Arrays to save, by name."""
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Any:
         """The inverse of ``arrays``."""
 
     def at_instant(self, x: Sequence[Any]) -> tuple[Sequence[Any], Sequence[Any]]:
-        """Mean and variance of each output by arithmetic on scalars."""
+        """Mean and variance of each output, by arithmetic on scalars."""
 
 
-# Kind, as written in a model file -> the class whose ``from_arrays`` reads it.
+# Kind in a model file -> class.
 REMAINDERS: dict[str, type[Remainder]] = {
     GaussianMixtureRegression.kind: GaussianMixtureRegression
 }

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointRemainder:
-    """Remainder of one joint's torque, learned over some positions and speeds.
+    """Remainder of one joint's torque as a function of some positions and speeds.
 
     Attributes:
-        joint: The joint whose torque it gives.
-        positions: Joints whose position it looks at.
-        speeds: Joints whose speed it looks at.
-        regression: From these inputs, positions first, to one torque.
+        joint: Index of the joint.
+        positions: Joints whose position is an input.
+        speeds: Joints whose speed is an input.
+        regression: Regression from these inputs, positions first, to one torque.
     """
 
     joint: int
@@ -36,17 +36,17 @@ class JointRemainder:
     regression: Remainder
 
     def inputs(self, q: Array, v: Array) -> Array:
-        """Its inputs from the state of the arm, shape (N, d)."""
+        """Inputs of the regression from the state of the arm, shape (N, d)."""
         return np.concatenate([q[:, self.positions], v[:, self.speeds]], axis=1)
 
 
 @dataclass(frozen=True)
 class ArmRemainder:
-    """Remainders of those joints that have one; zero for the others.
+    """Remainders of the joints; zero for joints without one.
 
     Attributes:
         size: Number of joints n.
-        parts: At most one remainder a joint.
+        parts: At most one remainder for each joint.
     """
 
     size: int
@@ -68,7 +68,7 @@ class ArmRemainder:
 
     @cached_property
     def _law(self) -> Law:
-        """All mixtures as one function of positions and speeds."""
+        """All mixtures as one compiled function of positions and speeds."""
         tape, torque = Tape(), [0.0] * self.size
         names = tuple(f"{x}[{j}]" for x in "qv" for j in range(self.size))
         given = [tape.input(name) for name in names]
@@ -80,9 +80,9 @@ class ArmRemainder:
         return Law(tape, tuple(torque), names)
 
     def predict_distribution(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Mean [N·m] and variance [(N·m)²] of the torque, shapes (N, n).
+        """Mean [N·m] and variance [(N·m)²] of the torque, shape (N, n) each.
 
-        The variance of a joint without a remainder is NaN: it was not learned.
+        The variance of a joint without a remainder is NaN.
         """
         mean = np.zeros((len(q), self.size))
         variance = np.full((len(q), self.size), np.nan)
@@ -119,7 +119,7 @@ class ArmRemainder:
         content: Sequence[Mapping[str, object]],
         arrays: Mapping[str, Array],
     ) -> ArmRemainder:
-        """The remainder that :meth:`as_dict` and :meth:`arrays` described.
+        """The remainder from the results of :meth:`as_dict` and :meth:`arrays`.
 
         Raises:
             ModelFileError: The description or the numbers are damaged.

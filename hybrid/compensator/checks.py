@@ -18,7 +18,7 @@ def check_matrix(name: str, values: ArrayLike, columns: int | None = None) -> Ar
     """``values`` as a finite float64 matrix of ``columns`` columns.
 
     Raises:
-        HybridError: It is not one; the message says where.
+        HybridError: The shape is wrong, or a number is not finite.
     """
     matrix = np.asarray(values, dtype=np.float64)
     if matrix.ndim != 2 or columns not in (None, matrix.shape[1]):
@@ -36,10 +36,10 @@ def check_matrix(name: str, values: ArrayLike, columns: int | None = None) -> Ar
 def check_pair(
     x: ArrayLike, y: ArrayLike, *, columns: tuple[int | None, int | None] = (None, None)
 ) -> tuple[Array, Array]:
-    """Inputs and outputs as finite matrices of equally many rows.
+    """Inputs and outputs as finite matrices with equal numbers of rows.
 
     Raises:
-        HybridError: They are not.
+        HybridError: The shapes are wrong, or a number is not finite.
     """
     inputs = check_matrix("x", x, columns[0])
     outputs = check_matrix("y", y, columns[1])
@@ -54,7 +54,7 @@ def check_pair(
 def draw(
     x: Array, y: Array, size: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Draw at most ``size`` rows without replacement; their order stays."""
+    """Draw at most ``size`` rows without replacement, in their order."""
     if len(x) <= size:
         return x, y
     rows = np.sort(rng.choice(len(x), size, replace=False))
@@ -62,7 +62,7 @@ def draw(
 
 
 def check_mixture(model: GaussianMixtureRegression) -> None:
-    """Refuse a mixture that could not predict.
+    """Check the arrays of a mixture.
 
     Raises:
         HybridError: Shapes disagree, a number is not valid, or a covariance is not

@@ -1,4 +1,4 @@
-"""A Gaussian mixture conditioned on part of its variables."""
+"""A Gaussian mixture conditioned on some of its variables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hybrid.arrays import Array
 
 
 class Conditional(NamedTuple):
-    """The mixture conditioned on standardised inputs z, as matrices to multiply by.
+    """The mixture conditioned on standardised inputs z.
 
     With ``w_k = whitening_k z − centre_k``, component k is at squared Mahalanobis
     distance ``w_kᵀ w_k`` and predicts ``output_mean_k + gain_k w_k``.
@@ -20,7 +20,7 @@ class Conditional(NamedTuple):
         centre: Whitened input means, shape (K, d), dimensionless.
         gain: Torque per whitened input, shape (K, m, d), [N·m].
         output_mean: Output means, shape (K, m), [N·m].
-        output_variance: Variance S left once x is known, shape (K, m), [(N·m)²].
+        output_variance: Conditional variance S, shape (K, m), [(N·m)²].
         log_weight: Log of π_k over the volume of component k, shape (K,).
     """
 
@@ -49,8 +49,8 @@ class Conditional(NamedTuple):
         Raises:
             numpy.linalg.LinAlgError: A covariance is not positive definite.
         """
-        # Cholesky of the joint with x first holds the factor of Σ_xx, the regression
-        # Σ_yx L⁻ᵀ and the factor of S: no difference of large numbers.
+        # The Cholesky factor of the joint covariance contains the factor of Σ_xx, the
+        # regression Σ_yx L⁻ᵀ and the factor of S, without differences of large numbers.
         factor = np.linalg.cholesky(covariances)  # (K, d+m, d+m)
         whitening = np.linalg.solve(factor[:, :d, :d], np.eye(d)[None])
         log_volume = np.log(np.diagonal(factor[:, :d, :d], axis1=1, axis2=2)).sum(1)

@@ -1,4 +1,4 @@
-"""Gaussian-mixture regression: the torque that no physical term explains.
+"""Gaussian-mixture regression of the torque that no physical term explains.
 
 A mixture over inputs and residual, ``p(x, y) = Σ π_k N(μ_k, Σ_k)``, conditioned on x::
 
@@ -6,8 +6,8 @@ A mixture over inputs and residual, ``p(x, y) = Σ π_k N(μ_k, Σ_k)``, conditi
     Var[y|x] = Σ h_k(x) (S_k + m_k(x)²) − E[y|x]²
 
 Sources: Cohn, Ghahramani and Jordan 1996, doi:10.1613/jair.295; Calinon 2016,
-doi:10.1007/s11370-015-0187-9. Away from its data the mixture hands over to a prior
-``N(0, P)``, P the mean square of the training residual: it never extrapolates.
+doi:10.1007/s11370-015-0187-9. Outside its data the mixture fades to a prior
+``N(0, P)``, where P is the mean square of the training residual: no extrapolation.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from hybrid.compensator.checks import check_matrix, check_mixture
 from hybrid.compensator.conditional import Conditional
 from hybrid.errors import HybridError, ModelFileError
 
-_ROWS = 4096  # samples at a time, so that what is worked on stays in the cache
-# Inputs are cut off this many deviations from the training mean, where every component
-# has long faded: squares of larger numbers could overflow, in single precision first.
+_ROWS = 4096  # samples at a time, which stay in the cache
+# Inputs are clipped this many standard deviations from the training mean, far outside
+# every component, since squares of larger numbers could overflow in single precision.
 FARTHEST = 1e6
 
 
@@ -42,7 +42,7 @@ class GaussianMixtureRegression:
         covariances: Covariances of [standardised x, y], shape (K, d+m, d+m).
         input_offset: Training mean of each input, shape (d,), [unit of x].
         input_scale: Training deviation of each input, shape (d,), [unit of x].
-        prior_variance: Variance where the mixture knows nothing, shape (m,), [(N·m)²].
+        prior_variance: Variance outside the data, shape (m,), [(N·m)²].
         bound: Largest absolute output, shape (m,), [N·m].
         fade: Squared distances (see ``distance``) where the fade starts and where the
             output is zero, shape (2,), dimensionless.
@@ -103,26 +103,26 @@ class GaussianMixtureRegression:
 
         Args:
             x: Inputs such as joint position and speed, shape (N, d), any unit.
-            y: Torque that the physical terms leave, shape (N, m), [N·m].
-            components: Number of components K; None chooses among ``candidates``.
+            y: Residual torque of the physical terms, shape (N, m), [N·m].
+            components: Number of components K; None selects one of ``candidates``.
             candidates: Numbers of components to try.
-            validation: Held-out ``(x, y)``, best whole motions that were not fitted;
-                they choose K by predictive likelihood. Without them BIC does, which
-                takes samples for independent and so tends to choose too many.
+            validation: Held-out ``(x, y)``, preferably whole motions; they select K by
+                predictive likelihood. Without them BIC selects K, which assumes
+                independent samples and so tends to a number too large.
             seed: Seed or generator; equal seeds give equal models.
-            covariance_floor: Added to every variance, as a fraction of the variance of
-                its channel. Keeps components from collapsing onto a stand-still, at
-                whose border the torque would jump.
-            max_samples: Rows to learn from at most, drawn without replacement.
+            covariance_floor: Added to every variance, as a share of the variance of its
+                channel. It prevents components that collapse on a standstill, at whose
+                border the torque would jump.
+            max_samples: Largest number of rows, drawn without replacement.
             bound: Largest absolute output, shape (m,) or scalar, [N·m], for instance a
-                fraction of the rated torque; None takes the largest residual in ``y``.
+                share of the rated torque; the largest residual in ``y`` by default.
 
         Returns:
             The learned regression.
 
         Raises:
             HybridError: An array has the wrong shape or holds NaN or infinity.
-            IdentificationError: Too few samples for the components asked for.
+            IdentificationError: Too few samples for the number of components.
         """
         from hybrid.compensator.gmr_fit import fit_gmr  # scikit-learn is slow to load
 
@@ -159,8 +159,7 @@ class GaussianMixtureRegression:
             x: Inputs, shape (N, d), [unit of the training inputs].
 
         Returns:
-            Mean, shape (N, m), [N·m], and variance, shape (N, m), [(N·m)²]: the
-            expected square of what is left after the mean is subtracted.
+            Mean, shape (N, m), [N·m], and variance, shape (N, m), [(N·m)²].
 
         Raises:
             HybridError: ``x`` has the wrong shape or holds NaN or infinity.
@@ -173,27 +172,27 @@ class GaussianMixtureRegression:
         return found[0].T, found[1].T
 
     def distance(self, x: ArrayLike) -> Array:
-        """Squared Mahalanobis distance to the components' inputs, soft minimum.
+        """Soft minimum of the squared Mahalanobis distances to the components.
 
-        ``−2 log Σ_k exp(−d_k²/2)``: the nearest component decides, and unlike with a
-        plain minimum no kink appears where another becomes the nearest.
+        It is ``−2 log Σ_k exp(−d_k²/2)``, which is smooth where another component
+        becomes the nearest one.
 
         Args:
             x: Inputs, shape (N, d), [unit of the training inputs].
 
         Returns:
-            Squared distance, below zero where components overlap, shape (N,).
+            Squared distance, which may be negative in overlaps, shape (N,).
         """
         x = check_matrix("x", x, self.inputs)
         return np.asarray(_soft_minimum(self._parts(list(x.T))[0])[0])
 
     def arrays(self) -> dict[str, Array]:
-        """Every array by field name, to be saved; ``from_arrays`` is the inverse."""
+        """All arrays by field name; ``from_arrays`` is the inverse."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
-        """The regression saved by ``arrays``; it predicts the same bits.
+        """The regression from its arrays; its predictions are bitwise equal.
 
         Raises:
             ModelFileError: An array is missing, unknown, or not valid.
@@ -209,36 +208,36 @@ class GaussianMixtureRegression:
             raise ModelFileError(f"mixture is damaged: {error}") from error
 
     def at_instant(self, x: Sequence[Any]) -> tuple[list[Any], list[Any]]:
-        """Mean [N·m] and variance [(N·m)²] of each output, in arithmetic alone.
+        """Mean [N·m] and variance [(N·m)²] of each output, by arithmetic on scalars.
 
         Args:
             x: The inputs: numbers, arrays, or symbols of a tape.
         """
-        c, replies = self.conditional, []
+        c, found = self.conditional, []
         distance, outputs = self._parts(x)
         soft, close = _soft_minimum(distance)
         start, end = self.fade.tolist()
         u = np.clip((end - soft) / (end - start), 0.0, 1.0)
         trust = u * u * (3.0 - 2.0 * u)
-        doubt = 1.0 - trust
+        distrust = 1.0 - trust
         weight = np.exp(c.log_weight - c.log_weight.max())
         total = _dot(weight, close)
-        for m, reply in enumerate(outputs):
+        for m, output in enumerate(outputs):
             bound, prior = float(self.bound[m]), float(self.prior_variance[m])
-            mean = np.clip(_dot(weight, map(mul, close, reply)) / total, -bound, bound)
+            mean = np.clip(_dot(weight, map(mul, close, output)) / total, -bound, bound)
             noise = c.output_variance[:, m].tolist()
-            off = [
-                s + (y - mean) * (y - mean) for s, y in zip(noise, reply, strict=True)
+            squares = [
+                s + (y - mean) * (y - mean) for s, y in zip(noise, output, strict=True)
             ]
-            spread = _dot(weight, map(mul, close, off)) / total
-            # Total variance of: the mixture with probability trust, else N(0, prior).
-            variance = trust * (spread + doubt * mean * mean) + doubt * prior
-            replies.append((trust * mean, variance))
-        means, variances = zip(*replies, strict=True)
+            within = _dot(weight, map(mul, close, squares)) / total
+            # Law of total variance: the mixture with probability trust, else the prior.
+            variance = trust * (within + distrust * mean * mean) + distrust * prior
+            found.append((trust * mean, variance))
+        means, variances = zip(*found, strict=True)
         return list(means), list(variances)
 
     def _parts(self, x: Sequence[Any]) -> tuple[list[Any], list[list[Any]]]:
-        """Squared distance to each component, and what each replies at each output."""
+        """Squared distance to each component, and its prediction of each output."""
         c = self.conditional
         units = self.input_offset.tolist(), self.input_scale.tolist()
         z = [
@@ -259,15 +258,12 @@ class GaussianMixtureRegression:
 
     @cached_property
     def conditional(self) -> Conditional:
-        """The mixture conditioned on its inputs, computed once."""
+        """The mixture conditioned on its inputs."""
         return Conditional.of(self.weights, self.means, self.covariances, self.inputs)
 
 
 def _soft_minimum(distance: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """``−2 log Σ_k exp(−d_k²/2)`` of squared distances, and each term by the largest.
-
-    It lies between the minimum and the minimum − 2 log K.
-    """
+    """``−2 log Σ_k exp(−d_k²/2)``, and its terms relative to the largest one."""
     nearest = reduce(np.minimum, distance)
     close = [np.exp(0.5 * (nearest - d)) for d in distance]
     return nearest - 2.0 * np.log(sum(close)), close

@@ -1,4 +1,4 @@
-"""Learning the mixture: expectation maximisation and the number of components."""
+"""Fit of the mixture: expectation maximisation, and selection of its size."""
 
 from __future__ import annotations
 
@@ -19,13 +19,10 @@ from hybrid.errors import HybridError, IdentificationError
 if TYPE_CHECKING:
     from hybrid.compensator.gmr import GaussianMixtureRegression
 
-# The fade starts beyond this share of the training samples and ends at twice their
-# distance, that is four times its square.
-TRUSTED_SHARE = 0.995
-FADE_RATIO = 4.0
+TRUSTED_SHARE = 0.995  # of the training samples, within the start of the fade
+FADE_RATIO = 4.0  # squared distance at the end of the fade, over that at its start
 _MOST_ROUNDS = 200  # of expectation maximisation
-# A channel that varies by less than this share of its size counts as constant.
-CONSTANT = 1e-12
+CONSTANT = 1e-12  # relative variation of a channel that counts as constant
 
 
 def fit_gmr(
@@ -40,7 +37,7 @@ def fit_gmr(
     max_samples: int,
     bound: ArrayLike | None,
 ) -> GaussianMixtureRegression:
-    """Body of ``GaussianMixtureRegression.fit``, which says what the arguments are."""
+    """See :meth:`GaussianMixtureRegression.fit`."""
     x, y = check_pair(x, y)
     limit = _limit(bound, y)
     x, y = draw(x, y, max_samples, rng)
@@ -70,11 +67,8 @@ def choose_components(
 
     Args:
         scores: Log-likelihood per sample by number of components, [nat].
-        indifference: Shortfall that does not count, [nat per sample]. 0.01 nat is a
-            standard deviation 1 % larger, which no torque sensor would show.
-
-    Returns:
-        Number of components.
+        indifference: Difference that does not count, [nat per sample]. 0.01 nat is a
+            standard deviation 1 % larger.
     """
     best = max(scores.values())
     return min(k for k, score in scores.items() if score >= best - indifference)
@@ -85,8 +79,8 @@ def predictive_log_likelihood(
 ) -> float:
     """Mean log-likelihood of y under the predicted mean and variance.
 
-    It scores what will be used, bound and fade included, so that a few samples off the
-    training range cannot outweigh all others.
+    Bound and fade are included, so that a few samples outside the training range cannot
+    outweigh all others.
 
     Args:
         model: The regression to score.
@@ -145,7 +139,7 @@ def _run_em(
         random_state=int(rng.integers(2**31)),
     )
     with warnings.catch_warnings():
-        # Stopping early is no error here: the held-out score judges what came of it.
+        # Early stopping is no error, since the held-out score compares the results.
         warnings.simplefilter("ignore", ConvergenceWarning)
         try:
             return mixture.fit(joint)

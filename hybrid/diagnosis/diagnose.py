@@ -35,7 +35,7 @@ from hybrid.diagnosis.gap.split import split
 from hybrid.diagnosis.gap.units import units
 from hybrid.diagnosis.gap.usability import too_little_motion, wrong_simulator
 from hybrid.effects.delay import Delay
-from hybrid.identification.preparation import taken
+from hybrid.identification.preparation import checked_logs
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -170,7 +170,7 @@ class _Case:
         if isinstance(robot, DynamicModel):
             healthy = Baseline(robot)
             robot, without = healthy.robot, [*without, *healthy.inborn]
-        recordings = since_first(taken(robot, recordings))
+        recordings = since_first(checked_logs(robot, recordings))
         if healthy:
             recordings = healthy.subtract_from(recordings)
         logged, recordings, *gaps = measured(

@@ -1,7 +1,7 @@
-"""Gradient of any weighted sum of regressor entries: one pass to the tip and back.
+"""Gradient of any weighted sum of regressor entries, by reverse differentiation.
 
-With the weights of Y as seed this is the reverse mode of :func:`regressor`, so that the
-gradient of any function of Y costs a few evaluations of Y, however many joints.
+The weights of Y are the seed. The gradient of any function of Y costs a few evaluations
+of Y, independent of the number of joints.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def torque_gradient(
         v: Speeds, shape (N, n), [rad/s].
         a: Accelerations, shape (N, n), [rad/s²].
         inertial: Link parameters, shape (n, 10).
-        joint: The joint whose torque is meant in each sample, shape (N,), integers.
+        joint: Index of the joint in each sample, shape (N,).
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).
@@ -76,8 +76,8 @@ def _backward(chain: Chain, q: Array, v: Array, a: Array, P: Array) -> Array:
             out[2, k] = axis @ alpha_
             out[1, k] = axis @ omega_ + _dot(spin, alpha_)
             omega_ -= cross(alpha_, axis) * v[k]
-            # The joint's own part of the state turns with it too, but lies along its
-            # axis; only the part that came from the parent depends on the angle.
+            # The joint's own part of the state lies along its axis, so only the part
+            # of the parent depends on the angle.
             parent = _before_joint(link, axis, v[k], a[k], spin)
             turned_ = np.delete(state_, (3 + 2 * k, 4 + 2 * k), axis=1)
             out[0, k] = axis @ cross(turned_, parent).sum(axis=1)
@@ -97,7 +97,7 @@ def _backward(chain: Chain, q: Array, v: Array, a: Array, P: Array) -> Array:
 def _before_joint(
     link: LinkMotion, axis: Array, v: Array, a: Array, spin: Array
 ) -> Array:
-    """The parent's quantities in the turned frame, shape (3, 3 + 2k, N)."""
+    """The parent's quantities in the rotated frame, shape (3, 3 + 2k, N)."""
     k = link.angular.shape[1] - 1
     parent = np.empty((3, 3 + 2 * k, link.omega.shape[1]))
     parent[:, 0] = link.omega - axis[:, None] * v
@@ -114,7 +114,7 @@ def _shift_back(
     offset = chain.translation[k][:, None] + np.zeros_like(q)
     if not chain.revolute[k]:
         offset = offset + (chain.rotation[k] @ chain.axis[k])[:, None] * q
-    if parent is None:  # the base stands still
+    if parent is None:  # the base is at rest
         return state_, np.zeros_like(offset)
     accel_, linear_ = state_[:, 2], state_[:, 4::2]
     omega, alpha = parent.omega, parent.alpha

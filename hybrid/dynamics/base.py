@@ -1,4 +1,4 @@
-"""Base parameters: the combinations of parameters that a motion can reveal at all.
+"""Base parameters: the identifiable combinations of standard parameters.
 
 Source: Gautier 1991, doi 10.1002/rob.4620080405 (numerical computation by QR).
 """
@@ -14,18 +14,18 @@ from scipy.linalg import solve_triangular
 from hybrid.arrays import Array
 from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS
 
-# A column of which less than this part is its own would need data that much better than
-# the rest: axes that a file turns by 1.5708 instead of π/2 make such columns.
+# Share of a column outside the span of others below which it is dependent. Rounded
+# angles in a file, such as 1.5708 for π/2, make such columns.
 _RANK_TOLERANCE = 1e-5
-_ROUNDING = 1e-10  # a coefficient below, of columns of unit length, is no dependence
-_UNNAMED = 1e-5  # a coefficient below counts, but does not belong into a name
+_ROUNDING = 1e-10  # coefficient of unit columns that counts as zero
+_NEGLIGIBLE = 1e-5  # coefficient that is not part of a name
 
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """Independent combinations of p standard parameters, b of them.
+    """The b identifiable combinations of p standard parameters.
 
-    Each base parameter is one *kept* standard parameter plus multiples of dropped ones.
+    A base parameter is one *kept* standard parameter plus multiples of dropped ones.
 
     Attributes:
         labels: Names of the standard parameters, length p.
@@ -53,7 +53,7 @@ class BaseParameters:
 
     @property
     def kept_labels(self) -> tuple[str, ...]:
-        """Short names: the label of the parameter that was kept, length b."""
+        """Short names: the labels of the kept parameters, length b."""
         return tuple(self.labels[k] for k in self.kept)
 
     def with_values(self, values: Array) -> BaseParameters:
@@ -61,10 +61,9 @@ class BaseParameters:
         return replace(self, values=np.array(values, dtype=float))
 
     def standard(self) -> Array:
-        """A set of standard parameters with these base values, shape (p,).
+        """Standard parameters with these base values, shape (p,).
 
-        The kept ones carry everything and the rest is zero: right torque, but not a
-        physical body.
+        The dropped ones are zero: they give the right torque, but no physical body.
         """
         full = np.zeros(len(self.labels))
         full[list(self.kept)] = self.values
@@ -72,22 +71,21 @@ class BaseParameters:
 
     @cached_property
     def dropped(self) -> dict[str, str]:
-        """Parameters that no motion tells apart, and the combinations that they join.
+        """Labels of dropped parameters, and of the kept ones that they combine with.
 
-        Maps the label to the kept parameters whose combinations it is part of; empty
-        text when it never moves any torque.
+        The second text is empty if the parameter never changes any torque.
         """
         found = {}
         for column, label in enumerate(self.labels):
             if column not in self.kept:
                 size = np.abs(self.mapping[:, column])
-                joined = np.flatnonzero(size > _UNNAMED * size.max(initial=0.0))
+                joined = np.flatnonzero(size > _NEGLIGIBLE * size.max(initial=0.0))
                 found[label] = ", ".join(self.labels[self.kept[k]] for k in joined)
         return found
 
     def _combination(self, k: int) -> str:
         text = self.labels[self.kept[k]]
-        for column in np.flatnonzero(np.abs(self.mapping[k]) > _UNNAMED):
+        for column in np.flatnonzero(np.abs(self.mapping[k]) > _NEGLIGIBLE):
             if column == self.kept[k]:
                 continue
             factor = self.mapping[k, column]
@@ -107,8 +105,8 @@ def base_parameters(
 ) -> BaseParameters:
     """Base parameters of stacked columns (rigid body and effects together).
 
-    A column that earlier ones explain is dropped, so the order of the columns decides
-    which of several equivalent parameters is kept: put first what should stay.
+    A column that depends on earlier ones is dropped, so the order of the columns
+    decides which of several equivalent parameters is kept.
 
     Args:
         stacked: Columns on a motion that excites everything, shape (rows, p).
@@ -116,13 +114,13 @@ def base_parameters(
         units: Unit of each column, length p.
     """
     norms = np.linalg.norm(stacked, axis=0)
-    silent = norms <= norms.max() * 1e-12
-    scale = np.where(silent, 1.0, norms)
-    unit = np.where(silent, 0.0, stacked / scale)
+    zero = norms <= norms.max() * 1e-12
+    scale = np.where(zero, 1.0, norms)
+    unit = np.where(zero, 0.0, stacked / scale)
     R: Array = np.asarray(np.linalg.qr(unit, mode="r"))
     kept: list[int] = []
-    # Householder QR leaves each column's part outside the span of the earlier ones on
-    # the diagonal only while those are independent; so the rank grows column by column.
+    # The diagonal of R shows dependence only while earlier columns are independent. So
+    # the basis grows column by column.
     basis = np.zeros((R.shape[0], 0))
     for column in range(R.shape[1]):
         rest = R[:, column] - basis @ (basis.T @ R[:, column])
@@ -136,8 +134,8 @@ def base_parameters(
 
 
 def _mapping(R: Array, kept: list[int], scale: Array) -> Array:
-    # Rounding is judged between columns of unit length: in SI units 1e-6 may be a true
-    # m·d² of links a millimetre apart.
+    # Compare rounding errors in columns of unit length: in SI units 1e-6 may be the
+    # m·d² of links one millimetre apart.
     mapping: Array = solve_triangular(R[:, kept], R)
     mapping[np.abs(mapping) < _ROUNDING] = 0.0
     mapping[:, kept] = np.eye(len(kept))

@@ -1,4 +1,4 @@
-"""Rigid-body quantities along one motion that effects need."""
+"""Rigid-body quantities along a motion, for effects."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from hybrid.signals import Motion
 
 
 class RigidBody:
-    """The arm's rigid body along a motion; each quantity is worked out once.
+    """The arm's rigid body along a motion; each quantity is computed once.
 
     Args:
         chain: The arm.
         motion: N samples of its motion.
-        inertial: Link parameters to use, shape (n, 10); the chain's own by default.
-            Any set with the right base parameters gives the right torque.
+        inertial: Link parameters, shape (n, 10); those of the chain by default. Any set
+            with the right base parameters gives the right torque.
     """
 
     def __init__(
@@ -51,8 +51,7 @@ class RigidBody:
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m].
 
-        Linear in the change; the partial derivatives by each joint that changes are
-        worked out once.
+        It is linear in the change.
 
         Args:
             dq: Change of position, shape (N, n), [rad].
@@ -70,8 +69,8 @@ class RigidBody:
     def slopes(self, j: int) -> tuple[Array, Array, Array]:
         """Partial derivatives of all torques by q, v and a of a joint, (N, n) each.
 
-        Central differences of the inverse dynamics; it is quadratic in speed and
-        linear in acceleration, so that only the step in position has to be small.
+        Central differences of the inverse dynamics. It is quadratic in speed and linear
+        in acceleration, so only the step in position must be small.
         """
         if j not in self._known_slopes:
             m, slopes = self.motion, []
@@ -91,7 +90,7 @@ class RigidBody:
         return self.chain.gravity
 
     def weight(self, gravity: Array) -> Array:
-        """Torque that holds the links still in a uniform gravity.
+        """Torque that holds the links at rest in a uniform gravity.
 
         Args:
             gravity: Acceleration in the base frame, shape (3,), [m/s²].
@@ -104,10 +103,7 @@ class RigidBody:
         return inverse_dynamics(chain, self.inertial, self.motion.q, rest, rest)
 
     def wrench_columns(self, link: int) -> Array:
-        """Jacobian transposed: drive torque per unit of what a link exerts.
-
-        Args:
-            link: Index of the link.
+        """Transposed Jacobian: drive torque per force and moment that a link exerts.
 
         Returns:
             Torque, shape (N, n, 6), per force [N] and moment [N·m] along the axes of
@@ -118,7 +114,7 @@ class RigidBody:
         q = np.ascontiguousarray(self.motion.q.T)
         rest, columns = np.zeros_like(q), np.zeros((*q.shape, 6))
         for k, direction in enumerate(np.eye(3)):
-            # A still link that weighs against a direction accelerates along it.
+            # A link at rest in gravity −direction has the acceleration +direction.
             chain = replace(self.chain, gravity=-direction)
             at = next(islice(link_motions(chain, q, rest, rest), link, None))
             columns[: link + 1, :, k] = np.einsum("cjn,cn->jn", at.linear, at.accel)

@@ -1,6 +1,6 @@
-"""Batched motion of every link of a chain: one pass from base to tip.
+"""Batched motion of every link of a chain, from base to tip.
 
-Arrays are laid out component first, sample last, so that each operation streams over
+In arrays the component comes first and the sample last, so that operations run over
 contiguous samples.
 """
 
@@ -13,6 +13,9 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot.chain import Chain
+from hybrid.robot.spatial import skew
+
+_ROUNDING = 1e-15  # entry of a rotation that counts as zero
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ def link_motions(chain: Chain, q: Array, v: Array, a: Array) -> Iterator[LinkMot
         for c in range(3):
             moved[c, 3 + 2 * k] = turning * axis[c]
             moved[c, 4 + 2 * k] = (1.0 - turning) * axis[c]
-        # Relative motion of the joint; ω×axis is the same with or without its own spin.
+        # ω×axis is the same before and after the joint's own speed is added.
         spin = cross(omega, axis)
         if chain.revolute[k]:
             alpha += spin * v[k] + axis[:, None] * a[k]
@@ -86,19 +89,9 @@ def _shift_and_turn(chain: Chain, k: int, q: Array, state: Array) -> Array:
 
 
 def _turn(chain: Chain, k: int, q: Array, x: Array) -> Array:
-    """R(q)ᵀ x with the zeros of R left out; x has shape (3, K, N)."""
-    fixed = chain.rotation[k]
-    if chain.revolute[k]:
-        kx, ky, kz = chain.axis[k]
-        skew = np.array([[0, -kz, ky], [kz, 0, -kx], [-ky, kx, 0.0]])
-        # R = fixed (I + k² + sin q · k − cos q · k²)
-        constant, sine, cosine = (
-            _clean(fixed @ m) for m in (np.eye(3) + skew @ skew, skew, -skew @ skew)
-        )
-        sin_q, cos_q = np.sin(q), np.cos(q)
-    else:
-        constant, sine, cosine = _clean(fixed), np.zeros((3, 3)), np.zeros((3, 3))
-        sin_q = cos_q = q
+    """R(q)ᵀ x without the zeros of R; x has shape (3, K, N)."""
+    constant, sine, cosine = rotation_terms(chain, k)
+    sin_q, cos_q = np.sin(q), np.cos(q)
     out = np.zeros_like(x)
     for c in range(3):
         for r in range(3):
@@ -111,9 +104,22 @@ def _turn(chain: Chain, k: int, q: Array, x: Array) -> Array:
     return out
 
 
-def _clean(matrix: Array) -> Array:
-    """Set entries that are zero but for rounding of the file's angles to zero."""
-    return np.where(np.abs(matrix) < 1e-15, 0.0, matrix)
+def rotation_terms(chain: Chain, k: int) -> tuple[Array, Array, Array]:
+    """Matrices A, B and C, shape (3, 3) each, with R(q) = A + B·sin q + C·cos q.
+
+    R turns the frame of link k to its parent's. Entries that are rounding errors of the
+    file's angles are zero.
+    """
+    fixed = chain.rotation[k]
+    turn = skew(chain.axis[k]) if chain.revolute[k] else np.zeros((3, 3))
+    matrices = (np.eye(3) + turn @ turn, turn, -turn @ turn)
+    constant, sine, cosine = (without_rounding(fixed @ x) for x in matrices)
+    return constant, sine, cosine
+
+
+def without_rounding(matrix: Array) -> Array:
+    """A matrix in which entries of rounding size are zero."""
+    return np.where(np.abs(matrix) < _ROUNDING, 0.0, matrix)
 
 
 def cross(x: Array, y: Sequence[Array | float] | Array) -> Array:

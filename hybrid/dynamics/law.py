@@ -1,7 +1,7 @@
-"""Operations of a tape as one Python function: of numbers, or of whole arrays.
+"""Compilation of a tape to one Python function of numbers, or of arrays.
 
-A few hundred operations on numbers take some microseconds when they stand in a row;
-the same on arrays run at the speed of the processor's cache.
+A few hundred operations on numbers then take some microseconds. On arrays they run at
+the speed of the processor's cache.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics.tape import OPERATIONS, Symbol, Tape
 
-_INFIX = {
+_ARRAY_TEMPLATES = {
     "add": "{} + {}", "subtract": "{} - {}", "multiply": "{} * {}",
     "divide": "{} / {}", "negative": "-{}",
     "less": "{} < {}", "less_equal": "{} <= {}",
     "greater": "{} > {}", "greater_equal": "{} >= {}",
 }  # fmt: skip
-_OF_NUMBERS = _INFIX | {
+_SCALAR_TEMPLATES = _ARRAY_TEMPLATES | {
     "absolute": "abs({})", "sign": "float(({0} > 0.0) - ({0} < 0.0))",
     "where": "{1} if {0} else {2}",
     "minimum": "{0} if {0} < {1} else {1}", "maximum": "{0} if {0} > {1} else {1}",
 }  # fmt: skip
 _MATH = {"power": "pow"}  # NumPy's name -> that of the module math
-_FEW = 16  # samples that are worked out faster one by one
-_CHUNK = 4096  # samples at a time: what is worked on then stays in the cache
+_FEW_SAMPLES = 16  # so few samples are faster one by one
+_CHUNK = 4096  # samples at a time, which stay in the cache
 _SPECIAL = {"inf": math.inf, "nan": math.nan}
 
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """Some results of a tape as functions of its inputs.
+    """Results of a tape as functions of its inputs.
 
     Attributes:
         tape: The operations.
         results: Symbols of the tape, and numbers.
-        inputs: Names of the tape's inputs in the order in which values are given.
+        inputs: Names of the tape's inputs, in the order of the values.
     """
 
     tape: Tape
@@ -49,14 +49,10 @@ class Law:
     inputs: tuple[str, ...]
 
     def at(self, values: Sequence[float]) -> Sequence[float]:
-        """Results at one instant.
-
-        Args:
-            values: Value of each input.
-        """
+        """Results at one instant."""
         try:
             found: Sequence[float] = self._numbers(*values)
-        except (ArithmeticError, ValueError):  # NumPy says inf or NaN where math raises
+        except (ArithmeticError, ValueError):  # NumPy gives inf or NaN instead
             found = [float(x) for x in self._arrays(*np.array(values, float))]
         return found
 
@@ -64,11 +60,11 @@ class Law:
         """Results at N instants, shape (N, results).
 
         Args:
-            signals: Values of the first inputs, shape (N, n) each set.
+            signals: Values of the first inputs, arrays of shape (N, any number).
             constants: Values of the other inputs.
         """
         samples = len(signals[0])
-        if 0 < samples <= _FEW:
+        if 0 < samples <= _FEW_SAMPLES:
             rows = np.concatenate(signals, axis=1).tolist()
             return np.array([self.at([*row, *constants]) for row in rows])
         out = np.empty((samples, len(self.results)))
@@ -80,35 +76,37 @@ class Law:
         return out
 
     def by(self, operations: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
-        """Results from the inputs, as a list, by the operations of another library.
+        """A function from the inputs to a list of results, with another library.
 
         Args:
-            operations: By the names of ``OPERATIONS``.
+            operations: Functions of that library, by the names of ``OPERATIONS``.
         """
         return self._function({}, operations)
 
     @cached_property
     def _numbers(self) -> Callable[..., Any]:
         names = {x: getattr(math, _MATH.get(x, x), None) for x in OPERATIONS}
-        return self._function(_OF_NUMBERS, names)
+        return self._function(_SCALAR_TEMPLATES, names)
 
     @cached_property
     def _arrays(self) -> Callable[..., Any]:
-        return self._function(_INFIX, {**OPERATIONS, "sine_cosine": sine_cosine})
+        return self._function(
+            _ARRAY_TEMPLATES, {**OPERATIONS, "sine_cosine": sine_cosine}
+        )
 
     def _function(
-        self, written: Mapping[str, str], names: Mapping[str, Any]
+        self, templates: Mapping[str, str], names: Mapping[str, Any]
     ) -> Callable[..., Any]:
-        """Nothing but operations and numbers is in its text; no name of any file."""
+        """Compile; the text has only operations and numbers, and no name of a file."""
         given = ", ".join(f"i{k}" for k in range(len(self.inputs)))
-        lines = "".join(f"    {line}\n" for line in self._lines(written))
+        lines = "".join(f"    {line}\n" for line in self._lines(templates))
         space: dict[str, Any] = {**names, **_SPECIAL}
         exec(f"def law({given}):\n{lines}", space)
         function: Callable[..., Any] = space["law"]
         return function
 
-    def _lines(self, written: Mapping[str, str]) -> Iterator[str]:
-        """Assignments; a variable is used again as soon as its value is not needed."""
+    def _lines(self, templates: Mapping[str, str]) -> Iterator[str]:
+        """Assignments; a variable is reused as soon as its value is not needed."""
         tape, needed = self.tape, self.tape.needed(self.results)
         last: dict[int, int] = {}
         for line in needed:
@@ -127,15 +125,15 @@ class Law:
             operation = tape.lines[line]
             if operation.name == "input":
                 continue
-            if line in variable:  # written beside its sine or cosine
+            if line in variable:  # computed together with its sine or cosine
                 continue
             given = [
                 variable[x] if isinstance(x, int) else f"({x!r})"
                 for x in operation.arguments
             ]
-            done = [x for x in set(_lines_of(tape, line)) if last[x] == line]
-            free += [variable[x] for x in done if variable[x].startswith("x")]
-            pair = self._pairs.get(line, ()) if written is _INFIX else ()
+            finished = [x for x in set(_lines_of(tape, line)) if last[x] == line]
+            free += [variable[x] for x in finished if variable[x].startswith("x")]
+            pair = self._pairs.get(line, ()) if templates is _ARRAY_TEMPLATES else ()
             for x in pair or (line,):
                 if not free:
                     free.append(f"x{count}")
@@ -146,7 +144,7 @@ class Law:
                 yield f"{both} = sine_cosine({given[0]})"
                 continue
             plain = f"{operation.name}({', '.join(['{}'] * len(given))})"
-            text = written.get(operation.name, plain).format(*given)
+            text = templates.get(operation.name, plain).format(*given)
             yield f"{variable[line]} = {text}"
         results = (
             variable[x.line] if isinstance(x, Symbol) else repr(float(x))
@@ -156,7 +154,7 @@ class Law:
 
     @cached_property
     def _pairs(self) -> dict[int, tuple[int, int]]:
-        """Line of a sine or cosine -> lines of the sine and cosine of the same."""
+        """Line of a sine or cosine -> lines of sine and cosine of the same argument."""
         of: dict[Any, dict[str, int]] = {}
         for line in self.tape.needed(self.results):
             operation = self.tape.lines[line]
@@ -167,9 +165,9 @@ class Law:
 
 
 def sine_cosine(x: Array) -> tuple[Array, Array]:
-    """Sine and cosine, to the last bit but one, from one tangent of the half angle.
+    """Sine and cosine from the tangent of the half angle, which is faster in NumPy.
 
-    NumPy's tangent is several times as fast as its sine.
+    The error is at most two units in the last place.
     """
     t = np.tan(0.5 * x)
     square = t * t
@@ -178,7 +176,7 @@ def sine_cosine(x: Array) -> tuple[Array, Array]:
 
 
 def _lines_of(tape: Tape, line: int) -> list[int]:
-    """Lines that a line works on."""
+    """Lines that are arguments of a line."""
     operation = tape.lines[line]
     if operation.name == "input":
         return []

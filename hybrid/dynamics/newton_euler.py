@@ -1,4 +1,4 @@
-"""Recursive Newton–Euler for scalars: numbers, arrays, or symbols of a tape.
+"""Recursive Newton–Euler algorithm for scalars: numbers, arrays or symbols.
 
 Source: Luh, Walker and Paul 1980, doi 10.1115/1.3149599; with parameters about the
 frame origin as in Atkeson et al. 1986, doi 10.1177/027836498600500306.
@@ -12,15 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.dynamics.kinematics import rotation_terms, without_rounding
 from hybrid.dynamics.law import Law
 from hybrid.dynamics.tape import Tape
 from hybrid.robot.chain import INERTIAL_NAMES, Chain
-from hybrid.robot.spatial import skew
 
 Vector = list[Any]
-_MOST_ARMS = 64  # whose laws are kept
-_ROUNDING = 1e-15  # entries of a rotation below are zero but for a file's angles
+_MOST_ARMS = 64  # in the cache of laws
 
 
 def newton_euler(
@@ -35,7 +33,7 @@ def newton_euler(
     """Rigid-body joint torque, length n, [N·m].
 
     Args:
-        chain: The arm; of it only the kinematics count.
+        chain: The arm; only its kinematics are used.
         inertial: Ten parameters of each link, length n.
         gravity: Acceleration of gravity in the base frame, length 3, [m/s²].
         q: Position of each joint, length n, [rad].
@@ -69,16 +67,16 @@ def newton_euler(
 
 
 def rigid_law(chain: Chain) -> Law:
-    """Torque of an arm's joints as a function, written down once for each arm.
+    """Torque of an arm's joints as a compiled function; cached.
 
     Its inputs are positions, speeds and accelerations, then ten parameters of each
     link, then gravity.
     """
-    return _written(_Kinematics(chain))
+    return _compiled(_Kinematics(chain))
 
 
 class _Kinematics:
-    """What Newton–Euler takes for constant of a chain; equal ones have equal laws."""
+    """The constants of a chain's kinematics, as a key of the cache."""
 
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
@@ -93,7 +91,7 @@ class _Kinematics:
 
 
 @lru_cache(maxsize=_MOST_ARMS)
-def _written(arm: _Kinematics) -> Law:
+def _compiled(arm: _Kinematics) -> Law:
     tape, n = Tape(), arm.chain.size
     names = [f"{x}[{j}]" for x in "qva" for j in range(n)]
     names += [f"{x}_{k + 1}" for k in range(n) for x in INERTIAL_NAMES]
@@ -107,16 +105,11 @@ def _written(arm: _Kinematics) -> Law:
 
 def _placement(chain: Chain, k: int, q: Any) -> tuple[list[Vector], Vector]:
     """Rotation and offset of frame k in its parent."""
-    fixed, offset = chain.rotation[k], chain.translation[k]
+    offset = chain.translation[k]
+    constant, sine, cosine = (x.tolist() for x in rotation_terms(chain, k))
     if not chain.revolute[k]:
-        direction = _clean(fixed @ chain.axis[k])
-        return _clean(fixed), [
-            o + d * q for o, d in zip(offset, direction, strict=True)
-        ]
-    s = skew(chain.axis[k])
-    constant, sine, cosine = (
-        _clean(fixed @ m) for m in (np.eye(3) + s @ s, s, -(s @ s))
-    )
+        direction = without_rounding(chain.rotation[k] @ chain.axis[k]).tolist()
+        return constant, [o + d * q for o, d in zip(offset, direction, strict=True)]
     sin_q, cos_q = np.sin(q), np.cos(q)
     turn = [
         [constant[r][c] + sine[r][c] * sin_q + cosine[r][c] * cos_q for c in range(3)]
@@ -128,7 +121,7 @@ def _placement(chain: Chain, k: int, q: Any) -> tuple[list[Vector], Vector]:
 def _wrench(
     inertial: Sequence[Any], omega: Vector, alpha: Vector, accel: Vector
 ) -> tuple[Vector, Vector]:
-    """Force and moment about the frame origin that move a link."""
+    """Force and moment about the frame origin that accelerate a link."""
     m, *rest = inertial
     mc, (xx, xy, yy, xz, yz, zz) = rest[:3], rest[3:]
     inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
@@ -139,11 +132,6 @@ def _wrench(
         _cross(mc, accel),
     )
     return force, moment
-
-
-def _clean(matrix: Array) -> list[Any]:
-    kept: list[Any] = np.where(np.abs(matrix) < _ROUNDING, 0.0, matrix).tolist()
-    return kept
 
 
 def _add(*vectors: Vector) -> Vector:

@@ -1,7 +1,7 @@
-"""Pseudo-inertia: the ten parameters of a link as the second moment of its mass.
+"""Pseudo-inertia: the second moment of a link's mass in homogeneous coordinates.
 
-In homogeneous coordinates, J = ∫ (x, 1)(x, 1)ᵀ dm: linear in the ten parameters, and
-positive semidefinite if and only if some distribution of mass has them.
+J = ∫ (x, 1)(x, 1)ᵀ dm is linear in the ten parameters, and positive semidefinite if and
+only if some distribution of mass has them.
 
 Source: Wensing, Kim and Slotine 2018, doi 10.1109/LRA.2017.2729659.
 """
@@ -16,8 +16,8 @@ from hybrid.robot.chain import Chain
 
 _ROWS, _COLUMNS = np.tril_indices(4)[::-1]  # upper triangle, column by column
 _STACKING = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))  # keeps the inner product
-_DENSITY = 1000.0  # of a link whose mass nobody knows, [kg/m³]
-_LEAST_WIDTH = 0.05  # of a link whose nominal inertia is (nearly) that of a rod
+_DENSITY = 1000.0  # kg/m³, of a link without a mass in its file
+_LEAST_WIDTH = 0.05  # of the usual width, for a link as thin as a rod
 
 
 def pseudo_inertia(inertial: Array) -> Array:
@@ -52,16 +52,14 @@ def inertial_from_pseudo(J: Array) -> Array:
 
 
 def is_consistent(inertial: Array, tolerance: float = 1e-12) -> NDArray[np.bool_]:
-    """Whether each link could exist: some mass, and nowhere a negative one.
+    """Whether each link is physically consistent, shape (...).
+
+    Point masses and rods, which have no width in some direction, are consistent.
 
     Args:
         inertial: Link parameters, shape (..., 10).
-        tolerance: How far below zero rounding may take an eigenvalue of the
-            pseudo-inertia, in units in which mass and tr(Σ) are one.
-
-    Returns:
-        True for a physical link, shape (...). Point masses and rods, which have no
-        width in some direction, count as physical.
+        tolerance: Negative eigenvalue of the pseudo-inertia that counts as rounding
+            error, in units in which mass and tr(Σ) are one.
     """
     J = pseudo_inertia(inertial)
     mass = J[..., 3, 3]
@@ -77,8 +75,8 @@ def is_consistent(inertial: Array, tolerance: float = 1e-12) -> NDArray[np.bool_
 def stacked(J: Array) -> Array:
     """Symmetric matrices as vectors, shape (..., 4, 4) to (..., 10).
 
-    Upper triangle column by column, the rest of which √2 stands for, as conic solvers
-    want it.
+    The upper triangle column by column, with off-diagonal entries times √2, as conic
+    solvers need it.
     """
     return np.asarray(J[..., _ROWS, _COLUMNS] * _STACKING)
 
@@ -91,7 +89,7 @@ def unstacked(x: Array) -> Array:
 
 
 def inertial_per_stacked(root: Array) -> Array:
-    """Ten parameters per entry of a stacked X, where J = root·X·rootᵀ.
+    """Derivative of the ten parameters by a stacked X, where J = root·X·rootᵀ.
 
     Args:
         root: Shape (4, 4).
@@ -105,9 +103,9 @@ def inertial_per_stacked(root: Array) -> Array:
 def nominal_bodies(chain: Chain, inertial: Array) -> Array:
     """Pseudo-inertia of plausible links, positive definite, shape (n, 4, 4).
 
-    What is not physical becomes a blob as wide as a quarter of the link's length: about
-    the centre of mass where there is a mass, else of the density of water and half-way
-    to the next joint. Links as thin as a rod get some width.
+    A link that is not physically consistent becomes a body as wide as a quarter of its
+    length, about its centre of mass. Without a mass, it has the density of water and
+    lies half-way to the next joint. Links as thin as a rod get some width.
 
     Args:
         chain: The arm, for the lengths of its links.
@@ -115,18 +113,18 @@ def nominal_bodies(chain: Chain, inertial: Array) -> Array:
     """
     ahead = np.vstack([chain.translation[1:], np.zeros(3)])
     length = np.linalg.norm(ahead, axis=1)
-    # Joints of a wrist may meet in one point, but its links do not.
+    # The axes of a wrist may meet in one point, but its links have a length.
     length = np.maximum(length, 0.3 * length.sum() if length.any() else 0.3)
     J = pseudo_inertia(inertial)
     for body, vector, width in zip(J, ahead, length / 4, strict=True):
         known = body[3, 3] > 0
         mass = body[3, 3] if known else _DENSITY * width**3
         center = body[:3, 3] / mass if known else vector / 2
-        spread, axes = np.linalg.eigh(body[:3, :3] / mass - np.outer(center, center))
-        if not known or spread[0] < (1e-3 * width) ** 2:
-            spread = np.full(3, width**2)
-        spread = np.maximum(spread, (_LEAST_WIDTH * width) ** 2)
+        variance, axes = np.linalg.eigh(body[:3, :3] / mass - np.outer(center, center))
+        if not known or variance[0] < (1e-3 * width) ** 2:
+            variance = np.full(3, width**2)
+        variance = np.maximum(variance, (_LEAST_WIDTH * width) ** 2)
         point = np.append(center, 1.0)
         body[...] = mass * np.outer(point, point)
-        body[:3, :3] += mass * (axes * spread) @ axes.T
+        body[:3, :3] += mass * (axes * variance) @ axes.T
     return J

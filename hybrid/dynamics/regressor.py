@@ -14,14 +14,13 @@ from hybrid.dynamics.kinematics import LinkMotion, link_motions
 from hybrid.dynamics.newton_euler import rigid_law
 from hybrid.robot.chain import Chain
 
-# Samples worked on at a time: the intermediate arrays then stay in the cache.
-_CHUNK = 4096
+_CHUNK = 4096  # samples at a time, whose intermediate arrays stay in the cache
 
 
 def regressor(
     chain: Chain, q: Array, v: Array, a: Array, which: Sequence[int] | None = None
 ) -> Array:
-    """Torque per unit of every inertial parameter, or of some.
+    """Torque per unit of all inertial parameters, or of some.
 
     Args:
         chain: The arm.
@@ -31,9 +30,8 @@ def regressor(
         which: Wanted columns out of the 10n, length c; all by default.
 
     Returns:
-        Y, shape (N, n, c), link after link in the order of ``INERTIAL_NAMES``, or in
-        that of ``which``. In memory samples come last (it is a view of an (n, c, N)
-        array).
+        Y, shape (N, n, c), link by link in the order of ``INERTIAL_NAMES``, or in that
+        of ``which``. It is a view of an array of shape (n, c, N).
     """
     samples, n = q.shape
     wanted: list[list[tuple[int, int]]] = [[] for _ in range(n)]
@@ -73,9 +71,9 @@ def inverse_dynamics(
 def _link_terms(link: LinkMotion) -> tuple[tuple[tuple[Array, Array], ...], ...]:
     """The ten columns of one link for the joints that move it, as sums of products.
 
-    With s = (linear, angular) the screw of a joint, its row is s · (force, moment) per
-    unit of each parameter; written as dot products with coefficients that depend on the
-    link's motion alone, shapes (k+1, N) and (N,).
+    The row of a joint with the screw s = (linear, angular) is s · (force, moment) per
+    unit of each parameter. Here it is a dot product with coefficients that depend on
+    the link's motion only, shapes (k+1, N) and (N,).
     """
     (wx, wy, wz), (bx, by, bz), (ax, ay, az) = link.omega, link.alpha, link.accel
     xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz

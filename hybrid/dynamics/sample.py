@@ -1,4 +1,4 @@
-"""Regressor of one sample at a time, for work at the rate of a controller."""
+"""Regressor of one sample at a time, at the rate of a controller."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from hybrid.robot import Robot
 class SampleRegressor:
     """Torque per unit of inertial parameters at one instant, in microseconds.
 
-    Equal to :func:`hybrid.dynamics.regressor` of a single sample, which is faster for
-    many at once. The inverse dynamics of unit parameters are on one tape, which works
-    out once what they share.
+    It equals :func:`hybrid.dynamics.regressor`, which is faster for many samples. The
+    inverse dynamics of all unit parameters are on one tape, which computes common terms
+    once.
 
     Args:
         robot: The arm.
-        entries: Wanted entries of the regressor's rows in a row, length c; all 10n² by
-            default.
+        entries: Indices of the wanted entries of the flattened regressor, length c; all
+            10n² by default.
     """
 
     def __init__(self, robot: Robot, entries: Sequence[int] | None = None) -> None:

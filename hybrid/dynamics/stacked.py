@@ -1,4 +1,4 @@
-"""Columns of rigid body and effects, and their independent combinations."""
+"""Columns of rigid body and effects, and their base parameters."""
 
 from __future__ import annotations
 
@@ -19,12 +19,7 @@ _STRUCTURE_SAMPLES = 600
 def effect_gains(
     effects: Sequence[Effect], without: Collection[tuple[int, str]] = ()
 ) -> tuple[tuple[int, int], ...]:
-    """(effect, gain) of every unknown gain, in the order of the columns.
-
-    Args:
-        effects: Effects.
-        without: Gains that are known: index of the effect, name of the gain.
-    """
+    """Indices (effect, gain) of every unknown gain, in the order of the columns."""
     return tuple(
         (e, g)
         for e, effect in enumerate(effects)
@@ -36,20 +31,14 @@ def effect_gains(
 def stacked_base(
     chain: Chain, effects: Sequence[Effect], gains: Sequence[tuple[int, int]]
 ) -> BaseParameters:
-    """Independent combinations over all inertial parameters and gains.
-
-    Args:
-        chain: The arm.
-        effects: Effects.
-        gains: Their unknown gains, see :func:`effect_gains`.
-    """
+    """Base parameters of all inertial parameters and gains."""
     labels, units = inertial_labels(chain.size)
     for e, g in gains:
         effect, gain = effects[e], effects[e].gains[g]
         where = "+".join(chain.joints[j] for j in effect.joints)
         where = "arm" if effect.scope == "arm" else where
         if sum((x.id, x.joints) == (effect.id, effect.joints) for x in effects) > 1:
-            # Two ripples of one joint differ in their shapes only.
+            # Two ripples of one joint differ only in their shapes.
             shapes = [
                 f"{s.name} {effect.values[s.name]:.6g}"
                 for s in effect.shapes
@@ -83,9 +72,9 @@ def stacked_columns(
 
 
 def rich_motion(chain: Chain) -> Motion:
-    """A motion on which nothing stays hidden: six incommensurate tones a joint.
+    """A motion that excites every parameter: six incommensurate tones a joint.
 
-    Only its structure counts, so it keeps to no limits and is always the same.
+    It is always the same and ignores limits, since only the column space matters.
     """
     rng = np.random.default_rng(20080523)
     n = chain.size
@@ -99,6 +88,6 @@ def rich_motion(chain: Chain) -> Motion:
     a = -(size * frequency**2 * np.sin(angle)).sum(axis=0)
     mask = np.ones(len(t), dtype=bool)
     temperature = 25 + 10 * rng.random((len(t), n)).cumsum(axis=0) / len(t)
-    # A torque beyond any limit, for effects that depend on what the log reports.
+    # A torque beyond any limit, for effects that depend on the logged torque.
     tau = 1e4 * rng.standard_normal((len(t), n))
     return Motion(t, q, v, a, tau, mask, temperature, chain.joints)

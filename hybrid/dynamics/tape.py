@@ -1,8 +1,8 @@
-"""A tape of scalar operations: what fast Python, C and ONNX are made of.
+"""A tape of scalar operations, from which fast Python, C and ONNX are made.
 
-Arithmetic and NumPy functions on a :class:`Symbol` write down what they do instead of
-doing it. So the laws that simulate and fit an arm are also the ones that run fast and
-are exported. Constants are folded, and what was written down once is used again.
+Arithmetic and NumPy functions on a :class:`Symbol` are recorded instead of computed. So
+the laws that simulate and fit an arm are also compiled and exported. Constants are
+folded, and common subexpressions are recorded once.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from hybrid.errors import HybridError
 
-# Operation -> what it does to numbers. Names are NumPy's where it has one.
+# Operation -> function of numbers. Names are those of NumPy.
 OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "add": np.add, "subtract": np.subtract, "multiply": np.multiply,
     "divide": np.divide, "power": np.power, "negative": np.negative,
@@ -26,7 +26,7 @@ OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "greater": np.greater, "greater_equal": np.greater_equal,
 }  # fmt: skip
 _SAME = {"true_divide": "divide", "float_power": "power"}
-_MOST_FACTORS = 4  # of a whole power that is written as products
+_MOST_FACTORS = 4  # of an integer power that is recorded as products
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Operation:
 
     Attributes:
         name: One of ``OPERATIONS``, or ``input``.
-        arguments: Lines that it works on, and numbers; for an input its name.
+        arguments: Lines and numbers; the name for an input.
     """
 
     name: str
@@ -43,18 +43,18 @@ class Operation:
 
 
 class Tape:
-    """Operations in the order in which they can be carried out."""
+    """Operations in an order in which they can be computed."""
 
     def __init__(self) -> None:
         self.lines: list[Operation] = []
-        self._known: dict[Any, int] = {}
+        self._lines_by_key: dict[Any, int] = {}
 
     def input(self, name: str) -> Any:
-        """A symbol of a number that is known only when the tape is run."""
+        """The symbol of an input."""
         return Symbol(self, self._line("input", (name,)))
 
     def apply(self, name: str, *arguments: Any) -> Any:
-        """Write an operation down; a number if that is what comes out."""
+        """Record an operation; returns a symbol, or a number if it is constant."""
         name = _SAME.get(name, name)
         if name not in OPERATIONS:
             raise HybridError(
@@ -63,14 +63,14 @@ class Tape:
         plain = [x if isinstance(x, Symbol) else float(x) for x in arguments]
         if not any(isinstance(x, Symbol) for x in plain):
             return float(OPERATIONS[name](*plain))
-        short = _shortened(name, plain)
-        if short is not None:
-            return short
+        simpler = _simplified(name, plain)
+        if simpler is not None:
+            return simpler
         lines = tuple(x.line if isinstance(x, Symbol) else x for x in plain)
         return Symbol(self, self._line(name, lines))
 
     def needed(self, results: Sequence[Any]) -> list[int]:
-        """Lines that some results depend on, in order."""
+        """Lines on which the results depend, in order."""
         marked = [False] * len(self.lines)
         for x in results:
             if isinstance(x, Symbol):
@@ -84,10 +84,10 @@ class Tape:
 
     def _line(self, name: str, arguments: tuple[Any, ...]) -> int:
         key = (name, *((type(x), x) for x in arguments))
-        if key not in self._known:
-            self._known[key] = len(self.lines)
+        if key not in self._lines_by_key:
+            self._lines_by_key[key] = len(self.lines)
             self.lines.append(Operation(name, arguments))
-        return self._known[key]
+        return self._lines_by_key[key]
 
 
 class Symbol:
@@ -159,8 +159,8 @@ class Symbol:
     __radd__, __rmul__ = __add__, __mul__
 
 
-def _shortened(name: str, x: list[Any]) -> Any:
-    """The same with less work, or None. Inputs are finite: 0·x is 0."""
+def _simplified(name: str, x: list[Any]) -> Any:
+    """A simpler equivalent of an operation, or None; inputs are finite, so 0·x is 0."""
     if name == "power" and x[1] in range(1, _MOST_FACTORS + 1):
         product = x[0]
         for _ in range(int(x[1]) - 1):

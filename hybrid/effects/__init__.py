@@ -1,4 +1,4 @@
-"""The vocabulary of effects: one file each, simulated and fitted from one law."""
+"""The library of effects: one file each, whose law is simulated and fitted."""
 
 from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity, Scale
 from hybrid.effects.joint_effect import JointEffect

@@ -1,4 +1,4 @@
-"""A drive whose torque builds up with a lag."""
+"""First-order lag of the drive torque."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from hybrid.signals import Motion
 
 
 class ActuatorLag(Effect):
-    """The torque delivered follows the reported one as a first-order lag.
+    """The delivered torque follows the reported one with a first-order lag.
 
-    So what the log shows leads. A negative time is a log that lags instead: the current
-    it shows went through a filter of that time constant.
+    A negative time constant means that the log lags instead: the logged torque went
+    through a low-pass filter.
     """
 
     id = "actuator_lag"
@@ -35,7 +35,7 @@ class ActuatorLag(Effect):
         return np.gradient(body.load[:, self.joints], motion.t, axis=0)[:, :, None]
 
     def report(self, t: Array, torque: Array) -> Array:
-        """Torque as asked for, ahead of that delivered; or filtered torque."""
+        """The commanded torque, ahead of the delivered one; or the filtered torque."""
         time = self.values["time"]
         if time >= 0:
             slope: Array = np.gradient(torque, t, axis=0)
@@ -43,13 +43,13 @@ class ActuatorLag(Effect):
         return _low_pass(torque, float(t[1] - t[0]), -time)
 
     def begin(self, joints: Sequence[JointState]) -> Memory:
-        """Never mind: a flag says that there was nothing before."""
+        """All zero: the first entry says that there is no earlier instant."""
         return (0.0, 0.0, 0.0)
 
     def report_at_instant(
         self, torque: Sequence[Scalar], memory: Memory, step: Scalar
     ) -> tuple[Sequence[Scalar], Memory]:
-        """A lead by the last difference, or the filter's next value.
+        """A lead by the last difference, or the next value of the filter.
 
         See :meth:`Instant.report_at_instant`.
         """
@@ -65,7 +65,7 @@ class ActuatorLag(Effect):
 
     @property
     def lag(self) -> float:
-        """The time constant, unless it is the log's."""
+        """The time constant of the drive; 0 if the log lags."""
         return max(self.values["time"], 0.0)
 
     @property
@@ -74,12 +74,12 @@ class ActuatorLag(Effect):
         return {"lag": self.lag} if self.lag else {}
 
     def follow(self, torque: Array, before: Array, step: float) -> Array:
-        """One implicit Euler step of the lag: its delay is the time, at any step."""
+        """One implicit Euler step of the lag, whose delay is exact for any step."""
         time = self.lag
         return before + (torque - before) * step / (time + step)
 
     def measure(self, t: Array, signals: dict[str, Array]) -> dict[str, Array]:
-        """A filtered log; a lagging drive logs what was asked of it anyway."""
+        """Filter the log, if it lags; a lagging drive logs the commanded torque."""
         return signals if self.values["time"] >= 0 else super().measure(t, signals)
 
 
@@ -88,7 +88,7 @@ def _either(condition: Scalar, x: Scalar, y: Scalar) -> Scalar:
 
 
 def _low_pass(x: Array, step: float, time: float) -> Array:
-    """First-order filter (trapezoidal rule) that starts at rest on its first input."""
+    """First-order filter (trapezoidal rule) that starts in steady state."""
     from scipy.signal import lfilter
 
     share = step / (2.0 * time + step)

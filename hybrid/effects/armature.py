@@ -1,4 +1,4 @@
-"""Rotor and gear inertia seen through the reduction."""
+"""Inertia of rotor and gear, reflected to the joint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lost motion between motor and link."""
+"""Backlash between motor and link."""
 
 from __future__ import annotations
 
@@ -10,29 +10,27 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects.effect import Body, Effect, Port, Quantity
-from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:
     import mujoco
 
-# The teeth of a simulated gear meet as hard as MuJoCo's usual step allows.
-_CONTACT_TIME = 0.002  # s
+_CONTACT_TIME = 0.002  # s, of simulated teeth; the least at MuJoCo's usual step
 _USUAL_FLIGHT = 64  # samples
-# The knock of a landing turns the motor as well. Accelerations made from positions
-# smear it over the end of the flight, which is smoothed by as much, s.
-_SMEAR = 0.011
-# Inertia of what lies between play and motor, of the rotor's: a gear that twists as
-# well would otherwise have a massless part between its spring and its stops.
-_GEAR = 0.01
+# Standard deviation of the filter, in s: differentiated positions spread an impact over
+# this time.
+_IMPACT_WIDTH = 0.011
+# Inertia between backlash and motor, as a share of the rotor's. Without it, a gear with
+# elasticity would have a massless part.
+_GEAR_INERTIA = 0.01
 
 
 class Backlash(Effect):
-    """Between motor and link is a gap: half of it lies to either side.
+    """A gap between motor and link, half of it on either side.
 
-    The encoder sits on the motor. While the load presses the link to a stop it follows
-    the motor; when the load changes its sign the link is free, falls across the gap,
-    and stays where it strikes.
+    The encoder is at the motor. While the load presses the link against one side of the
+    gap, the link follows the motor. When the load changes its sign, the link moves
+    freely across the gap and stays at the other side.
     """
 
     id = "backlash"
@@ -42,29 +40,25 @@ class Backlash(Effect):
     not_in_loop = "it needs the load that comes next, to know when the gap is crossed"
     steep = True
     behind = "play"
-    inexact: ClassVar[Mapping[str, float]] = {"half_width": 0.1}  # how soft stops are
+    inexact: ClassVar[Mapping[str, float]] = {"half_width": 0.1}  # softness of stops
     gains = (Quantity("half_width", "rad", 0.001, 0.0, 0.01),)
     equation = "τ = rigid(θ + d); d = −b sgn(τ_load) at a stop, d̈ = −τ_load/M between"
     source = "Nordin and Gutman 2002, doi 10.1016/S0005-1098(02)00047-X"
     sentence = "The gear of {joints} has play."
     remedy = "Add a limited play joint behind the motor, or preload the gear."
 
-    def reaches(self, size: int) -> tuple[int, ...]:
-        """The whole arm: all of it moves when a link lags."""
-        return tuple(range(size))
-
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Change of torque over the play, at its width or else at the usual one.
+        """Change of torque over half of the gap, at its width or the usual one.
 
-        See :meth:`Effect.columns`; shape (N, n, 1). No width is small enough for it to
-        be linear: a gap is crossed in a time that goes with its cube root.
+        See :meth:`Effect.columns`; shape (N, n, 1). It is not linear for any width,
+        since the time to cross a gap grows with its cube root.
         """
         half = self.values["half_width"] or self.gains[0].typical
         dq, dv, da = self._play(motion, body, half)
         return body.response(dq / half, dv / half, da / half)[:, :, None]
 
     def observe(self, motion: Motion, body: Body) -> Motion:
-        """The motion of the link behind the play."""
+        """The motion of the link."""
         half = self.values["half_width"]
         if half <= 0:
             return motion
@@ -72,14 +66,16 @@ class Backlash(Effect):
         return replace(motion, q=motion.q + dq, v=motion.v + dv, a=motion.a + da)
 
     def _play(self, motion: Motion, body: Body, half: float) -> tuple[Array, ...]:
-        """Position, speed and acceleration of the link over the motor's, (N, n)."""
+        """Position, speed and acceleration of the link less the motor's, (N, n)."""
         (j,) = self.joints
         inertia = body.slopes(j)[2][:, j]
         step = float(np.median(np.diff(motion.t)))
-        pull = body.load[:, j] / np.maximum(inertia, 1e-9)
+        acceleration = body.load[:, j] / np.maximum(inertia, 1e-9)
         from scipy.ndimage import gaussian_filter1d
 
-        where = _fall(gaussian_filter1d(pull, _SMEAR / step), half, step)
+        where = _link_position(
+            gaussian_filter1d(acceleration, _IMPACT_WIDTH / step), half, step
+        )
         wide = np.pad(where, 1, mode="edge")
         out = np.zeros((3, *motion.q.shape))
         out[0, :, j] = where
@@ -88,46 +84,36 @@ class Backlash(Effect):
         return tuple(out)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Add a free joint between stops behind the motor joint, on the same axis.
-
-        Raises:
-            EffectError: The joint has no armature: the rotor would be massless.
-        """
+        """Add a free joint between stops after the motor joint, on the same axis."""
         half = self.values["half_width"]
         if half <= 0:
             return
         name = names[self.joints[0]]
-        motor = spec.joint(name)
-        if motor.armature <= 0:
-            raise EffectError(
-                f"backlash at {name!r} needs a rotor: add the armature effect first"
-            )
-        play = spec.body(name).add_joint(
-            name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
-        )
-        play.armature = _GEAR * motor.armature
+        play = self.added_joint(spec, name)
+        play.armature = _GEAR_INERTIA * spec.joint(name).armature
         play.limited, play.range = True, np.array([-half, half])
         play.solref_limit = np.array([_CONTACT_TIME, 1.0])
         play.solimp_limit[:3] = 0.99, 0.999, 0.1 * half
 
 
-def _fall(pull: Array, half: float, step: float) -> Array:
-    """Place of a link between its stops, shape (N,), [rad].
+def _link_position(acceleration: Array, half: float, step: float) -> Array:
+    """Position of a link between its stops, shape (N,), [rad].
 
     Args:
-        pull: Acceleration that the motor has to give to the link, shape (N,), [rad/s²].
+        acceleration: Acceleration that the stops must give the link, shape (N,),
+            [rad/s²].
         half: Half of the gap, [rad].
         step: Time between samples, [s].
     """
-    up = pull >= 0
+    up = acceleration >= 0
     away = {1: np.flatnonzero(~up), -1: np.flatnonzero(up)}  # from each of the stops
-    where, now, side = np.empty(len(pull)), 0, 1 if up[0] else -1
-    # Only the flights are walked through, one by one.
-    while now < len(pull):
+    where, now, side = np.empty(len(acceleration)), 0, 1 if up[0] else -1
+    # Loop over flights from stop to stop.
+    while now < len(acceleration):
         later = away[side][np.searchsorted(away[side], now) :]
-        start = int(later[0]) if len(later) else len(pull)
+        start = int(later[0]) if len(later) else len(acceleration)
         where[now:start] = -half * side
-        path, landed = _flight(-side * pull[start:], half, step)
+        path, landed = _flight(-side * acceleration[start:], half, step)
         now = start + len(path)
         where[start:now] = side * (path - half)
         side = -side if landed else side
@@ -135,7 +121,7 @@ def _fall(pull: Array, half: float, step: float) -> Array:
 
 
 def _flight(fall: Array, half: float, step: float) -> tuple[Array, bool]:
-    """Way from one stop, shape (K,), [rad], and whether it ends at the other."""
+    """Distance from one stop, shape (K,), [rad], and whether it reaches the other."""
     length = _USUAL_FLIGHT
     while True:
         path = fall[:length].cumsum().cumsum() * step**2

@@ -1,4 +1,4 @@
-"""A command that acts late."""
+"""Latency of the command."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from hybrid.signals import Motion
 
 
 class CommandLatency(Effect):
-    """The controller follows the command of T ago.
+    """The controller receives the command with a delay T.
 
-    It shows between command and torque, not between motion and torque.
+    This changes the torque for a command, but not the torque for a motion.
     """
 
     id = "command_latency"
@@ -27,7 +27,7 @@ class CommandLatency(Effect):
     remedy = "Delay the command in the simulator by the fitted time."
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Nothing: motion and torque still agree."""
+        """Zero: motion and torque agree."""
         return np.zeros((len(motion.t), 1, 1))
 
     @property
@@ -40,6 +40,6 @@ class CommandLatency(Effect):
         return f"delay commands by {1000 * self.values['time']:.3g} ms"
 
     def command(self, t: Array, signal: Array) -> Array:
-        """The signal of an earlier time; before the first sample it is held."""
+        """The signal at an earlier time; constant before the first sample."""
         late = t - self.values["time"]
         return np.stack([np.interp(late, t, x) for x in signal.T], axis=1)

@@ -1,4 +1,4 @@
-"""Something touched for a while."""
+"""A temporary contact of the last link."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from hybrid.signals import Motion
 class Contact(Effect):
     """The last link pushes against something with a constant force and moment.
 
-    They are those of the arm on its surroundings, along the axes of the base frame, the
-    moment about the origin of the last link's frame. Recordings are counted from 0;
-    −1 is all of them, by their common clock.
+    Force and moment are those of the arm on its environment, along the axes of the base
+    frame; the moment is about the origin of the last link's frame. Recordings are
+    counted from 0; −1 means all of them, on their common clock.
     """
 
     id = "contact"
@@ -45,7 +45,7 @@ class Contact(Effect):
         return touching[:, None, None] * body.wrench_columns(self.joints[-1])
 
     def push(self, t: float) -> Array:
-        """The force and moment while in contact."""
+        """Force and moment during the contact, zero otherwise, shape (6,)."""
         return self._touching(np.array([t])) * self.gain_values
 
     def _touching(self, t: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A servo with other gains than stated."""
+"""Servo gains that differ from the stated ones."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from hybrid.signals import Motion
 
 
 class ControllerGain(Effect):
-    """Stiffness and damping of the servo are off by a factor.
+    """Stiffness and damping of the servo differ by a factor.
 
-    It shows between command and torque, not between motion and torque.
+    This changes the torque for a command, but not the torque for a motion.
     """
 
     id = "controller_gain"
     port = Port.COMMAND
-    # Parts of the whole gains; noise of the speed hides as much of the damping.
+    # Relative to the whole gains; noise of the speed limits the damping.
     inexact: ClassVar[Mapping[str, float]] = {"damping": 0.03, "stiffness": 0.001}
-    # What a torque logged at another scale is, which looks like other gains.
+    # The effect of a wrong scale of the logged torque, which looks like other gains.
     at_scale: ClassVar[tuple[str, ...]] = ("torque_gain",)
     not_in_loop = "it lies between command and torque"
     gains = (
@@ -35,7 +35,7 @@ class ControllerGain(Effect):
     remedy = "Set the simulator's servo gains to the fitted ones."
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Nothing: motion and torque still agree."""
+        """Zero: motion and torque agree."""
         return np.zeros((len(motion.t), 1, 2))
 
     @property
@@ -49,7 +49,6 @@ class ControllerGain(Effect):
         return "use kp = {:.4g} and kd = {:.4g}".format(*true)
 
     def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
-        """Gains as they really are."""
-        return kp * (1.0 + self.values["stiffness"]), kd * (
-            1.0 + self.values["damping"]
-        )
+        """The true gains."""
+        stiffness, damping = 1.0 + self.gain_values
+        return kp * stiffness, kd * damping

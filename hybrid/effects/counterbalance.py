@@ -1,4 +1,4 @@
-"""A cylinder or spring that carries part of an arm's weight."""
+"""A cylinder or spring that balances a part of the arm's weight."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from hybrid.effects.joint_effect import JointEffect
 class Counterbalance(JointEffect):
     """Gas, hydraulic or coil spring between the base and a crank on the link.
 
-    With the crank's radius r, the distance a of the two pivots from each other's axis
-    and λ(q) = l/a the relative length of the spring, l² = a² + r² − 2 a r cos(q − φ),
-    a force F₀ + k (l − l₀) has the lever a r sin(q − φ)/l. Its torque has two parts:
-    k a r · sin(q − φ), which a link's weight may look like, and
-    (F₀ − k l₀) r · sin(q − φ)/λ, which tells a spring from a weight.
+    The crank has the radius r, and the fixed pivot the distance a from the joint axis.
+    The length of the spring is l, with l² = a² + r² − 2 a r cos(q − φ) and λ(q) = l/a.
+    Its force F₀ + k (l − l₀) acts with the lever a r sin(q − φ)/l. The torque has two
+    parts: k a r · sin(q − φ), which is like the weight of a link, and
+    (F₀ − k l₀) r · sin(q − φ)/λ, which is not.
     """
 
     id = "counterbalance"
@@ -30,7 +30,7 @@ class Counterbalance(JointEffect):
         Quantity("preload", "N·m", 0.1, -5.0, 5.0, per=(1, 0)),
     )
     shapes = (
-        # More than a turn, of which no end is in the way of a fit.
+        # More than a turn, so that a fit does not stop at a bound.
         Quantity("dead_centre", "rad", 0.0, -4.0, 4.0),
         Quantity("crank_ratio", "", 0.3, 0.01, 0.95),
     )
@@ -40,7 +40,7 @@ class Counterbalance(JointEffect):
     remedy = "Add the cylinder as a tendon between its two pivots."
 
     def as_reported(self) -> Counterbalance:
-        """The same with its dead centre within half a turn of zero."""
+        """The same with its dead centre between −π and π."""
         angle = self.values["dead_centre"]
         if abs(angle) <= np.pi:
             return self
@@ -48,7 +48,7 @@ class Counterbalance(JointEffect):
 
     @staticmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per N·m of the spring's and of the preload's part."""
+        """Torque per N·m of spring and of preload."""
         angle, ratio = state.q - shapes["dead_centre"], shapes["crank_ratio"]
         sine = np.sin(angle)
         length = np.sqrt(1.0 + ratio**2 - 2.0 * ratio * np.cos(angle))

@@ -1,4 +1,4 @@
-"""A drive that does nothing with a small torque."""
+"""A dead zone of the drive for small torques."""
 
 from __future__ import annotations
 
@@ -11,31 +11,30 @@ from hybrid.effects.effect import Body, Effect, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
-# Share of torque that is taken to get through: the zone is then crossed within this
-# share of its width, and not by jumps of the commanded torque.
-_LEAST = 0.05
-_ALL = 0.8  # of the width; of smaller torques a drive loses that much, at least
-# Of the width and of what is delivered elsewhere: what a dead zone lets through.
-_NOTHING = 0.2
-_OFTEN = 0.5  # of the time: torque is delivered
-_CROSSING = 0.15  # of the time: most that a controller stays within it
-_MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
+# Slope of the law within the zone when it is inverted, so that the commanded torque
+# has no jumps.
+_INVERSE_SLOPE = 0.05
+_LEAST_LOST = 0.8  # of the width: torque that is lost
+_MOST_DELIVERED = 0.2  # torque within the zone, of its width and of that outside
+_LEAST_OUTSIDE = 0.5  # of the time: the torque is outside the zone
+_MOST_INSIDE = 0.15  # of the time: a controller leaves the zone soon
+_MOVING = 0.05  # of the highest speed; at rest friction balances any torque
 
 
 class Deadzone(Effect):
-    """Of any torque the first ±w are lost.
+    """The drive loses the first ±w of any torque.
 
-    The log shows the torque asked for: more than is delivered by w, in its direction,
-    so that it looks like dry friction that follows the sign of torque, not of speed.
+    The log shows the commanded torque, which is larger than the delivered one by w. So
+    the effect looks like dry friction with the sign of the torque instead of the speed.
     """
 
     id = "deadzone"
     port = Port.DRIVE
     gains = (Quantity("width", "N·m", 0.02, 0.0, 0.3, per=(1, 0)),)
     shapes = (
-        # Torque over which a fit takes it to set in: what it knows torque to.
+        # Torque over which a fit smooths the sign.
         Quantity("onset", "N·m", 0.005, 0.0005, 0.3, per=(1, 0), inner=True),
-        # Whether a fit looks at the torque asked for.
+        # Whether a fit uses the commanded torque.
         Quantity("total", "", 0.0, 0.0, 1.0, whole=True, inner=True),
     )
     equation = "τ_reported = τ_delivered + clip(τ_reported, ±w)"
@@ -44,11 +43,11 @@ class Deadzone(Effect):
     remedy = "Add the dead zone's width to the commanded torque, in its direction."
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Direction of the torque, where it is measured; see :meth:`Effect.columns`.
+        """Direction of the torque; see :meth:`Effect.columns`.
 
-        Torque delivered has one unless it is nothing, or nearly, whenever less is asked
-        for; then only the torque asked for tells. A controller soon asks for more: a
-        joint that is hardly ever asked for more than that has another ail.
+        The delivered torque has a direction unless it is nearly zero whenever the
+        commanded one is small; then the commanded torque is used. The columns are zero
+        where the data contradict a dead zone: a controller leaves it soon.
         """
         tau, onset = motion.tau[:, self.joints], self.values["onset"]
         if motion.asked is None:
@@ -56,32 +55,32 @@ class Deadzone(Effect):
         asked, v = motion.asked[:, self.joints], np.abs(motion.v[:, self.joints])
         moves = v > _MOVING * v.max()
         if not self.values["total"]:
-            there = (np.abs(tau) > onset) & moves  # or else it is a gain
-            often = there.sum() > _OFTEN * moves.sum()
-            return self._direction(tau)[:, :, None] * float(often)
+            outside = (np.abs(tau) > onset) & moves  # else it looks like a gain
+            mostly = outside.sum() > _LEAST_OUTSIDE * moves.sum()
+            return self._direction(tau)[:, :, None] * float(mostly)
         inside, outside = moves & (np.abs(asked) < onset), moves & (abs(asked) >= onset)
-        sure = inside.any() and inside.sum() < _CROSSING * moves.sum()
-        if sure:
+        valid = inside.any() and inside.sum() < _MOST_INSIDE * moves.sum()
+        if valid:
             least, usual = (np.median(np.abs(tau[x])) for x in (inside, outside))
-            sure = least < _NOTHING * min(usual, onset)
-        return self._direction(asked)[:, :, None] * float(sure)
+            valid = least < _MOST_DELIVERED * min(usual, onset)
+        return self._direction(asked)[:, :, None] * float(valid)
 
     @property
     def least_gains(self) -> Array:
-        """Where torque within the zone is looked at, it is lost; shape (1,)."""
-        return np.array([_ALL * self.values["onset"] * self.values["total"]])
+        """Torque within the zone is lost, if a fit uses the commanded one; (1,)."""
+        return np.array([_LEAST_LOST * self.values["onset"] * self.values["total"]])
 
     def deliver(self, torque: Array) -> Array:
-        """Torque delivered for one asked for."""
+        """Delivered torque for a commanded one."""
         width = self.values["width"]
         return torque - np.clip(torque, -width, width)
 
     def report_at_instant(
         self, torque: Sequence[Scalar], memory: Memory, step: Scalar
     ) -> tuple[Sequence[Scalar], Memory]:
-        """What to ask for so that a torque is delivered: the inverse of ``deliver``."""
+        """Commanded torque for a delivered one: the inverse of ``deliver``."""
         (needed,), width = torque, self.values["width"]
-        return [needed + np.clip(needed / _LEAST, -width, width)], ()
+        return [needed + np.clip(needed / _INVERSE_SLOPE, -width, width)], ()
 
     def _direction(self, torque: Array) -> Array:
         return np.clip(torque / self.values["onset"], -1.0, 1.0)

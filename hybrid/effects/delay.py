@@ -1,4 +1,4 @@
-"""Torque and position stamped by different clocks."""
+"""A time shift between logged torque and position."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Delay(Effect):
     shows_in_motion = True
     differentiates = True
     shifts = True
-    # The torque that is late is that of the file, whose numbers are a little off.
+    # The parameters of the file, from which the shifted torque is made, are inexact.
     inexact: ClassVar[Mapping[str, float]] = {"time": 0.03}
     not_in_loop = "it is of the log's clocks; a drive needs its torque now"
     gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)
@@ -35,6 +35,6 @@ class Delay(Effect):
         return -slope[:, :, None]
 
     def report(self, t: Array, torque: Array) -> Array:
-        """The torque of an earlier time; before the first sample it is held."""
+        """The torque at an earlier time; constant before the first sample."""
         late = t - self.values["time"]
         return np.stack([np.interp(late, t, x) for x in torque.T], axis=1)

@@ -1,4 +1,4 @@
-"""What every effect is: a law, where it acts, and how it enters a plant and a fit."""
+"""The base class of effects: a law, the place where it acts, and hooks for a fit."""
 
 from __future__ import annotations
 
@@ -48,22 +48,22 @@ class Port(StrEnum):
 class Effect(InPlant, Instant, ABC):
     """One unmodelled effect at given joints with given values.
 
-    The torque is ``columns(motion, body) @ gain values``: linear in the gains but of
-    ``steep`` effects, nonlinear in the shapes. Effects that change signals rather than
-    add torque override :meth:`observe` or :meth:`report`; their columns are first
-    order, for screening, and their :meth:`torque` is nothing. Effects between command
-    and torque leave no trace in the torque that is logged: their columns are zero.
+    The torque is ``columns(motion, body) @ gain values``. It is linear in the gains,
+    except for ``steep`` effects, and nonlinear in the shapes. Effects that change
+    signals override :meth:`observe` or :meth:`report`; their columns are of first
+    order, for screening, and they add no torque. Effects between command and torque do
+    not change the relation of torque and motion: their columns are zero.
 
     Attributes:
-        joints: Indices of the joints it acts on: one (scope ``joint``), two or more
+        joints: Indices of its joints: one (scope ``joint``), two or more
             (``coupling``), or all of them (``arm``).
-        values: Value of each gain and shape, SI units; a gain left out is 0, a shape
-            left out has its usual size.
-        std: Standard deviation of the values that were estimated.
+        values: Value of each gain and shape in SI units; missing gains are 0, missing
+            shapes have their usual size.
+        std: Standard deviation of the estimated values.
 
     Raises:
-        EffectError: A value has no such parameter, is not finite, or a shape is out of
-            bounds; or the number of joints does not fit the scope.
+        EffectError: A parameter is unknown, a value is not finite, a shape is out of
+            bounds, or the number of joints does not fit the scope.
     """
 
     id: ClassVar[str]
@@ -71,40 +71,36 @@ class Effect(InPlant, Instant, ABC):
     scope: ClassVar[Scope] = "joint"
     gains: ClassVar[tuple[Quantity, ...]]
     shapes: ClassVar[tuple[Quantity, ...]] = ()
-    # Whether its columns, made at the gain it has, change so fast with the gain that a
-    # fit has to scan it.
+    # Whether its columns depend so strongly on the gain that a fit has to scan it.
     steep: ClassVar[bool] = False
-    # Whether its torque is of derivatives of the torque or acceleration.
+    # Whether its torque depends on derivatives of the torque, or on acceleration.
     differentiates: ClassVar[bool] = False
-    # Whether it shifts torque in time, which a fit has to scan: noise lessens how much
-    # of a shifted torque fits, and that would be taken for a shorter time.
+    # Whether it shifts torque in time. A fit scans the time, as noise biases it.
     shifts: ClassVar[bool] = False
-    # What the second joint is called that it puts behind a motor's, if it does.
-    behind: ClassVar[str] = ""
-    # What its law leaves out: relative standard deviation of values fitted to motion of
-    # an exact plant, beyond what noise leaves open.
+    # Relative standard deviation of values fitted to an exact plant without noise,
+    # because the law is an approximation.
     inexact: ClassVar[Mapping[str, float]] = {}
-    # Part of its torque's RMS that its law leaves out, of an exact plant.
+    # Error of its law on an exact plant, as a share of its torque's RMS.
     rough: ClassVar[float] = 0.0
     # Whether most joints have it, so that any fit of an arm begins with it.
     usual: ClassVar[bool] = False
-    # Whether an arm has it from its first day, or never.
+    # Whether an arm has it from the beginning, or never.
     inborn: ClassVar[bool] = False
-    # What it becomes at an end of a shape's range: the shape, which end, and the id of
-    # a plainer law, whose place in an arm's file it may take; or "", what many laws do.
+    # The simpler law that it equals at one end of a shape's range: the shape, the end,
+    # and the id of the simpler law, or "" if many laws are equal there.
     becomes: ClassVar[tuple[str, Literal["lower", "upper"], str] | None] = None
-    # Whether it sums up other laws, for a fit of all of them.
+    # Whether it is the sum of several simpler laws.
     composite: ClassVar[bool] = False
-    # Whether its shapes are read off what is left of a gap, and it may be there more
-    # than once; and the logarithm of how many differ in effect.
+    # Whether its shapes are read off the residual, so that it may occur several times;
+    # and the logarithm of the number of distinct shapes.
     repeats: ClassVar[bool] = False
     choices: ClassVar[float | None] = None
-    # Whether torque alone does not settle it, and motion does.
+    # Whether it is determined by the motion rather than by the torque.
     shows_in_motion: ClassVar[bool] = False
-    # Whether it matters how long the drives have been running.
+    # Whether it depends on how long the drives have been running.
     warms: ClassVar[bool] = False
-    # What to do to tell it from a law that has the same torque on every motion, by the
-    # id of that.
+    # By id of a law with the same torque on every motion: an experiment that separates
+    # the two.
     told_apart: ClassVar[Mapping[str, str]] = {}
     equation: ClassVar[str]
     source: ClassVar[str]
@@ -154,9 +150,9 @@ class Effect(InPlant, Instant, ABC):
         """The effect at its usual size; ``values`` override single parameters.
 
         Args:
-            joints: Joints it acts on.
+            joints: Joints of the effect.
             scales: Size of every joint of the arm.
-            values: Parameters given by the user, SI units.
+            values: Parameters in SI units.
         """
         scale = scales[joints[-1]]
         usual = {x.name: x.scaled(scale).typical for x in (*cls.gains, *cls.shapes)}
@@ -165,7 +161,7 @@ class Effect(InPlant, Instant, ABC):
     def at(
         self, values: Mapping[str, float], std: Mapping[str, float] | None = None
     ) -> Self:
-        """The same effect with other values (those not named stay)."""
+        """The same effect with other values; those not named do not change."""
         values = {**self.values, **values}
         return replace(self, values=values, std=dict(std or self.std))
 
@@ -176,7 +172,7 @@ class Effect(InPlant, Instant, ABC):
 
     @property
     def least_gains(self) -> Array:
-        """Smallest gains at its shapes: 0, or −∞ of those with a sign, shape (p,)."""
+        """Smallest gains at its shapes: 0, or −∞ if negative ones are valid; (p,)."""
         return np.array([0.0 if g.lower >= 0 else -np.inf for g in self.gains])
 
     @property
@@ -201,26 +197,26 @@ class Effect(InPlant, Instant, ABC):
 
     @classmethod
     def places(cls, size: int) -> Iterator[tuple[int, ...]]:
-        """Joints that it may act on, on an arm of some joints."""
+        """Every tuple of joints that it may act on, on an arm of ``size`` joints."""
         span = {"joint": 1, "coupling": 2, "arm": size}[cls.scope]
         yield from (tuple(range(j, j + span)) for j in range(size - span + 1))
 
     @property
     def at_joints(self) -> tuple[int, ...]:
-        """Joints that it is said to be of."""
+        """Joints that a report names for it."""
         return self.joints
 
     @classmethod
     def declared(cls, nominal: Nominal) -> Array | None:
-        """The number of a file that it is a change of, shape (n,), or nothing."""
+        """The parameter of the robot file that it changes, shape (n,), or None."""
         fields = [cls.fields.get(g.name, "") for g in cls.gains]
         return getattr(nominal, fields[0], None) if len(fields) == 1 else None
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
-        """What is known of its gains before any recording.
+        """The prior of its gains.
 
         Args:
-            nominal: Numbers of the file.
+            nominal: Parameters of the robot file.
             scale: Size of its joint.
 
         Returns:
@@ -230,10 +226,10 @@ class Effect(InPlant, Instant, ABC):
         known = self.declared(nominal)
         if known is None:
             return std, self.least_gains
-        return std, -known[list(self.joints)]  # the file may say too much
+        return std, -known[list(self.joints)]  # the file's value may be too large
 
     def at_limit(self, scale: Scale) -> tuple[Self, str] | None:
-        """As it is where it is what it :attr:`becomes`, and the id of that.
+        """The effect where it equals a simpler law, see :attr:`becomes`, and its id.
 
         Args:
             scale: Size of its joint.
@@ -245,18 +241,15 @@ class Effect(InPlant, Instant, ABC):
         return self.at({name: getattr(shape.scaled(scale), end)}), law
 
     def reaches(self, size: int) -> tuple[int, ...]:
-        """Joints whose torque it changes, r of them: those it acts on.
+        """The r joints whose torque it changes, of ``size``.
 
-        A change of one joint's position is felt along the whole arm.
-
-        Args:
-            size: Number of joints n of the arm.
+        These are all if it changes the motion of one, and its own otherwise.
         """
-        return self.joints
+        return tuple(range(size)) if self.observes else self.joints
 
     @abstractmethod
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Torque per unit of each gain, at the joints that it reaches.
+        """Torque per unit of each gain, at the joints of :meth:`reaches`.
 
         Args:
             motion: Motion of N samples of the whole arm.
@@ -267,23 +260,23 @@ class Effect(InPlant, Instant, ABC):
         """
 
     def torque(self, motion: Motion, body: Body) -> Array:
-        """Torque that it adds at the joints it reaches, shape (N, r), [N·m]."""
-        if self.observes or self.reports:
+        """Torque that it adds at the joints of :meth:`reaches`, (N, r), [N·m]."""
+        if self.changes_signals:
             return np.zeros((len(motion.t), len(self.reaches(motion.q.shape[1]))))
         return self.columns(motion, body) @ self.gain_values
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """Start values of the shapes that the motions suggest, in addition to a grid.
+        """Start values of the shapes from the motions, in addition to a grid.
 
-        Of a law that fits nowhere but near its own shapes.
+        For laws that fit only near their own shapes.
 
         Args:
-            motions: Motions with the torque delivered and asked for, [N·m].
-            j: Joint.
+            motions: Motions with the delivered and the commanded torque, [N·m].
+            j: Index of the joint.
 
         Returns:
-            The value of every shape in its unit, by name; nothing by default.
+            Value of every shape in its unit, by name; empty by default.
         """
         return {}
 
@@ -297,7 +290,7 @@ class Effect(InPlant, Instant, ABC):
         return motion
 
     def frequency(self, body: Body) -> float:
-        """Mean frequency at which it oscillates along a motion, [Hz]; 0 if it does not.
+        """Mean natural frequency along a motion, [Hz]; 0 if it does not oscillate.
 
         Args:
             body: Rigid-body quantities along the motion.
@@ -305,9 +298,14 @@ class Effect(InPlant, Instant, ABC):
         return 0.0
 
     @property
+    def changes_signals(self) -> bool:
+        """Whether it changes the motion or the logged torque, and adds no torque."""
+        return self.observes or self.reports
+
+    @property
     def linearised(self) -> bool:
-        """Whether it changes signals: its torque is linear only near its gains."""
-        return (self.observes or self.reports) and not self.steep
+        """Whether its torque is linear only near the present values of its gains."""
+        return self.changes_signals and not self.steep
 
     @property
     def reports(self) -> bool:
@@ -317,9 +315,9 @@ class Effect(InPlant, Instant, ABC):
     def report(self, t: Array, torque: Array) -> Array:
         """Logged torque for delivered torque at the effect's joints.
 
-        A linear map; plant, prediction and fit all use it. The gain of an effect with
-        one is found by successive linearisation: its columns are those of a further
-        change.
+        It is linear in the torque, and is used in plant, prediction and fit. The gain
+        of such an effect is found by successive linearisation: its columns are the
+        derivative by a further change.
 
         Args:
             t: Time, shape (N,), [s].
@@ -328,14 +326,11 @@ class Effect(InPlant, Instant, ABC):
         return torque
 
     def as_reported(self) -> Self:
-        """The same effect as a law of the reported torque instead of the delivered one.
-
-        A fit has only the latter to make columns of: what is measured holds the gap.
-        """
+        """The same effect, fitted to the delivered torque, as a law of the reported."""
         return self
 
     def measure(self, t: Array, signals: dict[str, Array]) -> dict[str, Array]:
-        """Turn true signals ``q``, ``v``, ``tau``, shape (N, n), into measured ones."""
+        """Measured signals from the true ``q``, ``v``, ``tau``, shape (N, n) each."""
         if not self.reports:
             return signals
         tau, joints = signals["tau"].copy(), list(self.joints)

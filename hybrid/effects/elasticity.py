@@ -1,4 +1,4 @@
-"""A joint that twists between motor and link."""
+"""Elasticity between motor and link."""
 
 from __future__ import annotations
 
@@ -11,23 +11,25 @@ from scipy.linalg.lapack import dtbtrs
 
 from hybrid.arrays import Array
 from hybrid.effects.effect import Body, Effect, Port, Quantity
-from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:
     import mujoco
 
 
-_TURN, _FINEST = 0.15, 8  # rad of a swing in a step; parts of a sample, at most
-_FIRST_DAMPING, _FORGOTTEN = 0.3, 0.3  # of the critical one; s
-_UPRIGHT = 0.1  # of the spring: what gravity leaves of it, of any that is in use
-_LEAST_DAMPING = 0.05  # of the critical one; no gear rings for longer
+_PHASE_STEP = 0.15  # rad of an oscillation in one integration step
+_MOST_SUBSTEPS = 8  # in a sample
+# Additional damping at the start of a log, relative to critical damping, and its decay
+# time in s: the initial oscillation is unknown.
+_START_DAMPING, _START_TIME = 0.3, 0.3
+_LEAST_STIFFNESS = 0.1  # of the spring, less the effect of gravity
+_LEAST_DAMPING = 0.05  # relative to critical damping
 
 
 class Elasticity(Effect):
     """Spring and damper between motor and link: τ = K(θ − q) + D(θ̇ − q̇).
 
-    The encoder sits on the motor. The gain is the compliance 1/K.
+    The encoder is at the motor. The gain is the compliance 1/K.
     """
 
     id = "elasticity"
@@ -36,7 +38,7 @@ class Elasticity(Effect):
     rough = 0.4
     steep = True
     behind = "deflection"
-    # Noise of positions is largest where it swings, which looks like damping.
+    # Noise of positions is largest at the natural frequency, and looks like damping.
     inexact: ClassVar[Mapping[str, float]] = {"compliance": 0.05, "damping": 0.5}
     not_in_loop = "its link swings by the load that comes next"
     gains = (Quantity("compliance", "rad/(N·m)", 0.01, 0.0, 0.2, per=(-1, 0)),)
@@ -46,91 +48,75 @@ class Elasticity(Effect):
     sentence = "The gear of {joints} twists under load."
     remedy = "Add a joint spring between motor and link in the simulator."
 
-    def reaches(self, size: int) -> tuple[int, ...]:
-        """The whole arm: see :meth:`Effect.reaches`."""
-        return tuple(range(size))
-
     def columns(self, motion: Motion, body: Body) -> Array:
         """Change of torque over the compliance, at its value.
 
-        See :meth:`Effect.columns`; shape (N, n, 1). A softer spring swings more slowly:
-        without a compliance this is the first order, of a link that does not swing.
+        See :meth:`Effect.columns`; shape (N, n, 1). At a compliance of 0 it is the
+        first order, of a link that does not oscillate.
         """
         return body.response(*self._twist(motion, body))[:, :, None]
 
     def observe(self, motion: Motion, body: Body) -> Motion:
-        """The motion of the link, which swings on its spring behind the motor."""
-        soft = self.values["compliance"]
-        if soft <= 0:
+        """The motion of the link, which oscillates on its spring."""
+        compliance = self.values["compliance"]
+        if compliance <= 0:
             return motion
-        dq, dv, da = (soft * x for x in self._twist(motion, body))
+        dq, dv, da = (compliance * x for x in self._twist(motion, body))
         return replace(motion, q=motion.q + dq, v=motion.v + dv, a=motion.a + da)
 
     def frequency(self, body: Body) -> float:
-        """See :meth:`Effect.frequency`: of the link, as the motor stands still."""
+        """See :meth:`Effect.frequency`; of the link, with the motor at rest."""
         inertia = float(np.mean(self._slopes(body)[2]))
-        soft = self.values["compliance"] * max(inertia, 0.0)
-        return 1.0 / (2.0 * np.pi * np.sqrt(soft)) if soft > 0 else np.inf
+        compliance = self.values["compliance"] * max(inertia, 0.0)
+        return 1.0 / (2.0 * np.pi * np.sqrt(compliance)) if compliance > 0 else np.inf
 
     def _slopes(self, body: Body) -> tuple[Array, ...]:
-        """Derivatives of its torque by its own position, speed, acceleration, (N,)."""
+        """Derivatives of the joint's torque by its own q, v and a, shape (N,) each."""
         (j,) = self.joints
         return tuple(slope[:, j] for slope in body.slopes(j))
 
     def _twist(self, motion: Motion, body: Body) -> tuple[Array, ...]:
-        """Position, speed and acceleration of link over motor per compliance, (N, n).
+        """Position, speed and acceleration of the deflection per compliance, (N, n).
 
-        The link swings by M d̈ + (C + D) ḋ + (G + K) d = −τ_load, with M, C and G the
-        derivatives of its torque by its own motion, wherever the arm is.
+        The deflection d follows M d̈ + (C + D) ḋ + (G + K) d = −τ_load. M, C and G are
+        the derivatives of the joint's torque by its own a, v and q.
         """
         (j,) = self.joints
-        soft, damping = self.values["compliance"], self.values["damping"]
+        compliance, damping = self.values["compliance"], self.values["damping"]
         place, load = np.zeros_like(motion.q), body.load[:, j]
-        if soft == 0:
+        if compliance == 0:
             place[:, j] = -load
             speed = np.gradient(place, motion.t, axis=0)
             return place, speed, np.gradient(speed, motion.t, axis=0)
         G, C, M = self._slopes(body)
         h = float(np.median(np.diff(motion.t)))
-        # A link of none, as some files have it, follows within a sample.
-        inertia = max(float(np.mean(M)), h**2 / soft)
-        # How it swung before the log began is not known, and is soon forgotten.
-        past = _FIRST_DAMPING * np.exp(-(motion.t - motion.t[0]) / _FORGOTTEN)
-        drag = damping + 2 * (past + _LEAST_DAMPING) * np.sqrt(inertia / soft) + C
-        stiff = np.maximum(1.0 / soft + G, _UPRIGHT / soft)
-        fine = np.ceil(h / np.sqrt(inertia * soft) / _TURN)
-        parts = int(np.clip(fine, 1, _FINEST))
+        # A link without inertia, as some files have it, follows within a sample.
+        inertia = max(float(np.mean(M)), h**2 / compliance)
+        start_damping = _START_DAMPING * np.exp(-(motion.t - motion.t[0]) / _START_TIME)
+        ratio = start_damping + _LEAST_DAMPING
+        drag = damping + 2 * ratio * np.sqrt(inertia / compliance) + C
+        stiff = np.maximum(1.0 / compliance + G, _LEAST_STIFFNESS / compliance)
+        substeps = np.ceil(h / np.sqrt(inertia * compliance) / _PHASE_STEP)
+        count = int(np.clip(substeps, 1, _MOST_SUBSTEPS))
         signals = np.stack([np.maximum(M, 0.1 * inertia), drag, stiff, load])
-        if parts > 1:
+        if count > 1:
             from scipy.interpolate import CubicSpline
 
-            at = np.arange(parts * (len(load) - 1) + 1) / parts
+            at = np.arange(count * (len(load) - 1) + 1) / count
             signals = CubicSpline(np.arange(len(load)), signals, axis=1)(at)
-        d = _swing(signals, h / parts)
-        speed = np.gradient(d, h / parts)
+        d = _swing(signals, h / count)
+        speed = np.gradient(d, h / count)
         mass, drag, stiff, load = signals
         acceleration = -(load + drag * speed + stiff * d) / mass
         out = np.zeros((3, *motion.q.shape))
-        out[:, :, j] = np.stack([d, speed, acceleration])[:, ::parts] / soft
+        out[:, :, j] = np.stack([d, speed, acceleration])[:, ::count] / compliance
         return tuple(out)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Add a deflection joint behind the motor joint, on the same axis.
-
-        Raises:
-            EffectError: The joint has no armature: the rotor would be massless.
-        """
+        """Add a deflection joint after the motor joint, on the same axis."""
         if self.values["compliance"] <= 0:
             return
-        name = names[self.joints[0]]
-        motor = spec.joint(name)
-        if motor.armature <= 0:
-            raise EffectError(
-                f"elasticity at {name!r} needs a rotor: add the armature effect first"
-            )
-        spring = spec.body(name).add_joint(
-            name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
-        )
+        spring = self.added_joint(spec, names[self.joints[0]])
         spring.stiffness = np.array([1.0 / self.values["compliance"], 0.0, 0.0])
         spring.damping = np.array([self.values["damping"], 0.0, 0.0])
 
@@ -149,9 +135,9 @@ def _swing(signals: Array, h: float) -> Array:
     mass, drag, stiff, load = signals
     inner = slice(1, -1)
     m, c, k = mass[inner] / h**2, drag[inner] / (2 * h), stiff[inner] / 4
-    bands = np.zeros((len(load), 3)).T  # in the order of LAPACK, which copies no others
+    bands = np.zeros((len(load), 3)).T  # Fortran order, which LAPACK does not copy
     bands[0] = 1.0
-    # Rows 0 and 1 are the two places that it starts from.
+    # Rows 0 and 1 are the initial conditions.
     bands[0, 2:], bands[1, 1:-1], bands[2, :-2] = m + c + k, 2 * (k - m), m - c + k
     out = -(load[:-2] + 2 * load[inner] + load[2:]) / 4
     start = np.full(2, -load[0] / stiff[0])

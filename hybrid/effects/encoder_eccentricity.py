@@ -1,4 +1,4 @@
-"""An encoder disc that does not turn about its centre."""
+"""Eccentricity of the encoder disc."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from hybrid.effects.effect import Body, Effect, Port, Quantity
 from hybrid.effects.instant import Scalar
 from hybrid.signals import Motion
 
-# The error is a few per cent of a radian at most, and each pass gains as many digits.
-_PASSES = 8
+_PASSES = 8  # each reduces the error by the size of the eccentricity, a few per cent
 
 
 class EncoderEccentricity(Effect):
@@ -29,10 +28,6 @@ class EncoderEccentricity(Effect):
     sentence = "The encoder of {joints} has an error that repeats once a turn."
     remedy = "Correct the position by the fitted sine, or centre the encoder disc."
 
-    def reaches(self, size: int) -> tuple[int, ...]:
-        """The whole arm: each joint's torque depends on every position."""
-        return tuple(range(size))
-
     def columns(self, motion: Motion, body: Body) -> Array:
         """First order; see :meth:`Effect.columns`; shape (N, n, 2)."""
         q, v, a = (x[:, self.joints] for x in (motion.q, motion.v, motion.a))
@@ -44,8 +39,8 @@ class EncoderEccentricity(Effect):
         columns = []
         for error in errors:
             change = [np.zeros_like(motion.q) for _ in error]
-            for whole, part in zip(change, error, strict=True):
-                whole[:, self.joints] = -part
+            for signal, part in zip(change, error, strict=True):
+                signal[:, self.joints] = -part
             columns.append(body.response(*change))
         return np.stack(columns, axis=-1)
 
@@ -63,12 +58,12 @@ class EncoderEccentricity(Effect):
         true = q
         for _ in range(_PASSES):
             true = q - self._error(true)[0]
-        _, slope, bend = self._error(true)
+        _, slope, curvature = self._error(true)
         speed = v / (1.0 + slope)
-        return true, speed, (a - bend * speed**2) / (1.0 + slope)
+        return true, speed, (a - curvature * speed**2) / (1.0 + slope)
 
     def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """What the encoder shows."""
+        """Position and speed that the encoder shows."""
         error, slope, _ = self._error(q)
         return q + error, v * (1.0 + slope)
 

@@ -1,4 +1,4 @@
-"""An encoder whose zero is not the robot file's."""
+"""Offset of the encoder's zero from that of the robot file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hybrid.signals import Motion
 
 
 class EncoderOffset(Effect):
-    """The encoder shows the true position and a constant: q + δ."""
+    """The encoder shows the true position plus a constant: q + δ."""
 
     id = "encoder_offset"
     port = Port.MEASUREMENT
@@ -22,10 +22,6 @@ class EncoderOffset(Effect):
     source = "Hollerbach et al. 2016, doi 10.1007/978-3-319-32552-1_6"
     sentence = "The encoder of {joints} is not zeroed where the simulator's joint is."
     remedy = "Home the joint again, or put the offset into the joint's reference."
-
-    def reaches(self, size: int) -> tuple[int, ...]:
-        """The whole arm: each joint's torque depends on every position."""
-        return tuple(range(size))
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """First order, −∂τ/∂q; see :meth:`Effect.columns`; shape (N, n, 1)."""
@@ -43,9 +39,9 @@ class EncoderOffset(Effect):
     def true_state(
         self, q: Scalar, v: Scalar, a: Scalar
     ) -> tuple[Scalar, Scalar, Scalar]:
-        """Less the offset; see :meth:`Instant.true_state`."""
+        """The state without the offset; see :meth:`Instant.true_state`."""
         return q - self.values["offset"], v, a
 
     def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """What the encoder shows."""
+        """Position and speed that the encoder shows."""
         return q + self.values["offset"], v

@@ -1,4 +1,4 @@
-"""An arm that does not stand upright."""
+"""Tilt of the base against gravity."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 class GravityTilt(Effect):
-    """The base is turned by small angles about its two level axes.
+    """The base is rotated by small angles about its two horizontal axes.
 
-    Seen from the base, gravity turns the other way: Δg = g × (roll · e₁ + pitch · e₂).
-    For an arm on the floor, e₁ and e₂ are the base's x and y axes.
+    In the base frame gravity changes by Δg = g × (roll · e₁ + pitch · e₂). For an arm
+    on the floor, e₁ and e₂ are the base's x and y axes.
     """
 
     id = "gravity_tilt"
@@ -40,12 +40,12 @@ class GravityTilt(Effect):
         return np.stack([body.weight(g) for g in turned], axis=-1)[:, self.joints]
 
     def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array]:
-        """Gravity turned to first order; see :meth:`Instant.rigid_change`."""
+        """Rotation of gravity to first order; see :meth:`Instant.rigid_change`."""
         turned = np.cross(gravity, level_axes(gravity))
         return np.zeros((size, 10)), self.gain_values @ turned
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Turn the spec's gravity by the whole angle, not to first order."""
+        """Rotate the spec's gravity by the angle, exactly."""
         from scipy.spatial.transform import Rotation
 
         gravity = np.array(spec.option.gravity)
@@ -54,7 +54,7 @@ class GravityTilt(Effect):
 
 
 def level_axes(gravity: Array) -> Array:
-    """Two unit vectors across gravity, close to the base's own axes, shape (2, 3).
+    """Two horizontal unit vectors close to the base's own axes, shape (2, 3).
 
     Args:
         gravity: Acceleration of gravity in the base frame, shape (3,), [m/s²].

@@ -1,4 +1,4 @@
-"""Stribeck friction of one piece, with a linear zone about rest."""
+"""Coulomb, Stribeck and viscous friction in one law, linear about rest."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from hybrid.effects.joint_effect import JointEffect
 class ImprovedStribeck(JointEffect):
     """Friction from break-away to sliding; a line through rest below ``width``.
 
-    The published law is even where it should be odd and jumps at ±``width`` when it has
-    an offset. This one is odd and continuous: within ±``width`` it is the straight line
-    through zero that meets the curve at both ends. An offset is an effect of its own,
+    The published law is even where it should be odd, and jumps at ±``width`` if it has
+    an offset. This law is odd and continuous: within ±``width`` it is a straight line
+    through zero. An offset is an effect of its own,
     :class:`~hybrid.effects.torque_offset.TorqueOffset`.
     """
 
@@ -50,7 +50,7 @@ class ImprovedStribeck(JointEffect):
         """Torque per unit of sliding, break-away and viscous friction."""
         speed, width = abs(state.v), shapes["width"]
         stuck = np.exp(-((np.maximum(speed, width) / shapes["velocity"]) ** 2))
-        # (Without a width the full level acts at rest too, where a plant has a sign.)
+        # Without a width the full level acts at rest too, where a plant has a sign.
         ramp = np.where(speed < width, speed / np.maximum(width, 1e-12), 1.0)
         sigma = state.sign * ramp
         return (sigma * (1.0 - stuck), sigma * stuck, state.sign * speed)

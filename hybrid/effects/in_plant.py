@@ -1,14 +1,15 @@
-"""Hooks by which a simulated plant realises an effect, from command to sensor."""
+"""Hooks with which a plant simulates an effect, from command to sensor."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects.state import JointState
+from hybrid.errors import EffectError
 
 if TYPE_CHECKING:
     import mujoco
@@ -17,11 +18,15 @@ if TYPE_CHECKING:
 class InPlant:
     """An effect in a plant. Each hook is the identity by default.
 
-    B trajectories run at once; k is the number of joints that the effect acts on.
+    B trajectories run together; k is the number of the effect's joints.
     """
 
+    id: ClassVar[str]
+    # Name of the joint that it adds between motor and link, if it does.
+    behind: ClassVar[str] = ""
+
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Put into a MuJoCo spec what MuJoCo itself can simulate.
+        """Add to a MuJoCo spec what MuJoCo itself can simulate.
 
         Args:
             spec: Spec of the arm; joint and body of link k share the name ``names[k]``.
@@ -29,31 +34,46 @@ class InPlant:
         """
         return  # by default nothing
 
+    def added_joint(self, spec: mujoco.MjSpec, name: str) -> mujoco.MjsJoint:
+        """A new joint after a motor joint, on the same axis, called ``behind``.
+
+        Raises:
+            EffectError: The motor joint has no armature: the rotor would be massless.
+        """
+        motor = spec.joint(name)
+        if motor.armature <= 0:
+            raise EffectError(
+                f"{self.id} at {name!r} needs a rotor: add the armature effect first"
+            )
+        return spec.body(name).add_joint(
+            name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
+        )
+
     def command(self, t: Array, signal: Array) -> Array:
-        """A commanded signal, shape (N, k), as the controller gets to see it."""
+        """A commanded signal as the controller receives it, shape (N, k)."""
         return signal
 
     def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
-        """Stiffness and damping of the servo, shape (k,), as they really are."""
+        """True stiffness and damping of the servo, shape (k,) each."""
         return kp, kd
 
     def deliver(self, torque: Array) -> Array:
-        """Torque the drive delivers for a torque it believes to deliver; shape (B,)."""
+        """Delivered torque for a commanded one, shape (B,), [N·m]."""
         return torque
 
     def follow(self, torque: Array, before: Array, step: float) -> Array:
-        """The same for a drive with memory.
+        """Delivered torque of a drive with memory, shape (B,), [N·m].
 
         Args:
-            torque: Torque it believes to deliver, shape (B,), [N·m].
-            before: Torque it delivered a step ago, shape (B,), [N·m].
+            torque: Commanded torque, shape (B,), [N·m].
+            before: Torque delivered one step ago, shape (B,), [N·m].
             step: Length of the step, [s].
         """
         return self.deliver(torque)
 
     @property
     def lag(self) -> float:
-        """Time by which the drive delays torque; it limits the servo, [s]."""
+        """Time constant of the drive, which limits the servo, [s]."""
         return 0.0
 
     def resist(self, state: JointState, before: Array, step: float) -> Array:
@@ -61,15 +81,15 @@ class InPlant:
 
         Args:
             state: State of the motors, arrays of shape (B, k).
-            before: This torque a step ago, 0 at the start, shape (B, k), [N·m].
+            before: This torque one step ago, 0 at the start, shape (B, k), [N·m].
             step: Length of the step, [s].
         """
         return np.zeros_like(before)
 
     def push(self, t: float) -> Array:
-        """Force and moment of the last link on its surroundings at a time, shape (6,).
+        """Force and moment of the last link on its environment at a time, shape (6,).
 
-        In the base frame, the moment about the origin of the link's frame.
+        In the base frame; the moment is about the origin of the link's frame.
         """
         return np.zeros(6)
 

@@ -1,8 +1,8 @@
 """Effects evaluated at one instant, for models that run in a control loop.
 
-The same law as for whole motions, written for scalars: numbers, arrays, or the symbols
-of which an export makes C or ONNX. Scalars know arithmetic, comparisons and NumPy's
-functions, and cannot be branched on: use ``np.where``.
+The law is the same as for whole motions, written for scalars: numbers, arrays, or
+symbols from which an export makes C or ONNX. Scalars have arithmetic, comparisons and
+NumPy's functions, but no branches: use ``np.where``.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from hybrid.errors import EffectError
 
 Scalar = Any  # float, array or symbol
 Memory = tuple[Scalar, ...]
-# What a joint of a simulator may have: τ = armature·a + damping·v + quadratic·v|v|
-# + cubic·v³ + stiffness·q + preload + frictionloss·sgn v, none of them negative but the
-# preload, which is that of a spring.
+# Fields of a simulator's joint: τ = armature·a + damping·v + quadratic·v|v| + cubic·v³
+# + stiffness·q + preload + frictionloss·sgn v. Only the preload, which is that of a
+# spring, may be negative.
 FIELDS = (
     "armature", "damping", "quadratic", "cubic", "stiffness", "preload", "frictionloss",
 )  # fmt: skip
-# Of these, what makes a curve over speed; and ``friction``, a curve for which a
-# simulator has no field, and the others stand in.
+# Fields that are functions of speed; and ``friction``, a curve for which a simulator
+# has no field, so that the others approximate it.
 FRICTION = ("damping", "quadratic", "cubic", "frictionloss", "friction")
 
 
@@ -31,10 +31,10 @@ class Instant:
     """An effect at one instant, with a memory of earlier instants.
 
     Attributes:
-        memory: Names of what it remembers.
+        memory: Names of the remembered values.
         not_in_loop: Why a model in a control loop leaves it out; empty if it does not.
-        fields: Gains that a simulator's joint has a field for, as ``FIELDS``, and those
-            that are ``friction``.
+        fields: Field of a simulator's joint for each gain, of ``FIELDS``, or
+            ``friction``.
     """
 
     id: ClassVar[str]
@@ -44,7 +44,7 @@ class Instant:
 
     @property
     def exact_fields(self) -> Mapping[str, str]:
-        """Those of ``fields`` that say the same at the effect's shapes."""
+        """Those of ``fields`` that are exact at the effect's shapes."""
         return self.fields
 
     @property
@@ -53,11 +53,11 @@ class Instant:
         return {}
 
     def setting(self, kp: float, kd: float) -> str:
-        """How a servo is given it, in words; nothing if it is not of the servo.
+        """Instruction to set a servo to it, in words; empty for other effects.
 
         Args:
-            kp: Stiffness as declared, [N·m/rad].
-            kd: Damping as declared, [N·m·s/rad].
+            kp: Declared stiffness, [N·m/rad].
+            kd: Declared damping, [N·m·s/rad].
         """
         return ""
 
@@ -76,7 +76,7 @@ class Instant:
     def true_state(
         self, q: Scalar, v: Scalar, a: Scalar
     ) -> tuple[Scalar, Scalar, Scalar]:
-        """Motion of the effect's one joint, from what its encoder shows."""
+        """True state of the effect's joint from what its encoder shows."""
         raise self._not_exportable("it changes the motion by its past and future")
 
     def begin(self, joints: Sequence[JointState]) -> Memory:
@@ -86,14 +86,14 @@ class Instant:
     def at_instant(
         self, joints: Sequence[JointState], memory: Memory, step: Scalar
     ) -> tuple[Sequence[Scalar], Memory]:
-        """Torque at the effect's joints, [N·m], and what to remember.
+        """Torque at the effect's joints, [N·m], and the new memory.
+
+        The default is zero for an effect that only changes the commanded torque.
 
         Args:
             joints: State of each of the effect's joints.
-            memory: What it remembers of the last instant.
-            step: Time since then, [s].
-
-        By itself nothing, for an effect that only changes what the drive is asked for.
+            memory: Memory of the last instant.
+            step: Time since the last instant, [s].
         """
         if self.asks:
             return [0.0] * len(joints), memory
@@ -107,7 +107,7 @@ class Instant:
     def report_at_instant(
         self, torque: Sequence[Scalar], memory: Memory, step: Scalar
     ) -> tuple[Sequence[Scalar], Memory]:
-        """What the log shows of torques at its joints, and what to remember."""
+        """Logged torque for the torque at its joints, and the new memory."""
         raise self._not_exportable("it reports torque by its past and future")
 
     def _not_exportable(self, reason: str) -> EffectError:

@@ -1,4 +1,4 @@
-"""Laws of one joint's own state."""
+"""Laws that depend on the state of one joint only."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from hybrid.signals import Motion
 
 
 class JointEffect(Effect):
-    """A memoryless law of one joint's own state, the same for plant and fit.
+    """A law of one joint's state without memory, the same for plant and fit.
 
-    ``dry`` marks laws that oppose motion through its direction: a plant realises them
-    as a dry-friction constraint, which sticks, and not as a torque.
+    ``dry`` marks laws of dry friction, which depend on the direction of motion: a plant
+    simulates them as a constraint that sticks, not as a torque.
     """
 
     dry: ClassVar[bool] = False
@@ -27,7 +27,7 @@ class JointEffect(Effect):
     @staticmethod
     @abstractmethod
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per unit of each gain; arrays of the shape of ``state``'s."""
+        """Torque per unit of each gain, with the shape of the arrays of ``state``."""
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, 1, p)."""

@@ -11,7 +11,7 @@ from hybrid.effects.joint_effect import JointEffect
 
 
 class LoadFriction(JointEffect):
-    """Load-dependent dry friction of gears: μ·|τ_load|·sgn v."""
+    """Load-dependent dry friction of a gear: μ·|τ_load|·sgn v."""
 
     id = "load_friction"
     port = Port.DRIVE

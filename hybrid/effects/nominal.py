@@ -1,4 +1,4 @@
-"""Numbers of the simulator's file that effects are changes of."""
+"""Parameters of the robot file that effects change."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from hybrid.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Nominal:
-    """What a file says of an arm of n joints.
+    """Parameters of an arm of n joints in its file.
 
     Attributes:
         inertial: Parameters of each link, shape (n, 10).
-        size: Size of each of these, by which an error of it is meant, shape (n, 10).
+        size: Magnitude of each of them, the unit of its error, shape (n, 10).
         armature: Rotor inertia of each joint, shape (n,), [kg·m²].
         damping: Viscous friction, shape (n,), [N·m·s/rad].
         frictionloss: Dry friction, shape (n,), [N·m].

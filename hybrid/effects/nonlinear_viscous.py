@@ -1,4 +1,4 @@
-"""Friction that bends with speed."""
+"""Nonlinear viscous friction."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hybrid.effects.joint_effect import JointEffect
 
 
 class NonlinearViscous(JointEffect):
-    """Speed-dependent friction beyond the linear: c₂·v|v| + c₃·v³."""
+    """Quadratic and cubic viscous friction: c₂·v|v| + c₃·v³."""
 
     id = "nonlinear_viscous"
     port = Port.DRIVE

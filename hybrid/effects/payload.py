@@ -1,4 +1,4 @@
-"""Something held by the last link that the simulator does not know."""
+"""Inertial parameters of a payload, or of a link, that the simulator does not have."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ _GAINS = (
 )
 
 
-_LINK_OFF = 0.15  # a link that is wrong is so by this much
-# Of the mass of a middling link: what an arm usually carries, within a hand's breadth.
-_CARRIED = (1.0, *[0.1] * 3, *[0.02] * 6)
-_LIGHTEST = 0.1  # kg, of a middling link
+_LINK_STD = 0.15  # relative standard deviation of the parameters of a link
+# Standard deviation of payload parameters over the median mass of the links: 1, m, m².
+_PAYLOAD_STD = (1.0, *[0.1] * 3, *[0.02] * 6)
+_LEAST_MASS = 0.1  # kg, smallest median mass
 
 
 class LinkInertia(Effect):
     """Change of one link's ten inertial parameters, about the link's frame origin.
 
-    The link is the one that the outermost of ``joints`` moves. It loads every joint up
-    to there, so that ``joints`` is always filled up from the base.
+    The link is the one that the last of ``joints`` moves. It loads all joints up to
+    that one, so ``joints`` always contains all of them.
     """
 
     id = "link_inertia"
@@ -69,8 +69,8 @@ class LinkInertia(Effect):
         return self.joints[-1:]
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
-        """A link that is wrong is so by some 15 %, up or down."""
-        std = _LINK_OFF * nominal.size[self.joints[-1]]
+        """A standard deviation of 15 % of each parameter, with both signs."""
+        std = _LINK_STD * nominal.size[self.joints[-1]]
         return std, np.full(len(std), -np.inf)
 
     def columns(self, motion: Motion, body: Body) -> Array:
@@ -78,7 +78,7 @@ class LinkInertia(Effect):
         return body.link_columns(self.joints[-1])[:, self.joints]
 
     def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array]:
-        """The link's ten parameters; see :meth:`Instant.rigid_change`."""
+        """Change of the link's ten parameters; see :meth:`Instant.rigid_change`."""
         change = np.zeros((size, 10))
         change[self.joints[-1]] = self.gain_values
         return change, np.zeros(3)
@@ -98,7 +98,7 @@ class LinkInertia(Effect):
         about -= mass * (center @ center * np.eye(3) - np.outer(center, center))
         if np.linalg.eigvalsh(about)[0] <= 0:
             raise EffectError(f"{self.id}: the inertia is not physical")
-        # Without a name, so that one link may carry several.
+        # Without a name, so that a link may have several.
         body = spec.body(names[self.joints[-1]]).add_body()
         body.explicitinertial = True
         body.mass, body.ipos = mass, center
@@ -106,7 +106,7 @@ class LinkInertia(Effect):
 
 
 class Payload(LinkInertia):
-    """Ten inertial parameters of what the last link carries."""
+    """Ten inertial parameters of a payload at the last link."""
 
     id = "payload"
     inborn = False
@@ -127,6 +127,6 @@ class Payload(LinkInertia):
         return self.joints
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
-        """As much as a middling link."""
-        middling = max(float(np.median(nominal.inertial[:, 0])), _LIGHTEST)
-        return np.array(_CARRIED) * middling, self.least_gains
+        """A standard deviation of the median mass of the links."""
+        mass = max(float(np.median(nominal.inertial[:, 0])), _LEAST_MASS)
+        return np.array(_PAYLOAD_STD) * mass, self.least_gains

@@ -1,4 +1,4 @@
-"""Dry friction that gives way like a spring before it slides."""
+"""Dry friction with presliding (Dahl's model)."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
-# How long a joint has moved when a log begins: nobody saw in which state it started.
-_BEFORE = 0.1  # s
+_BEFORE = 0.1  # s of motion assumed before a log, which give the initial state
 
 
 class Presliding(Effect):
-    """Dahl's friction: it takes a distance δ after each reversal to build up.
+    """Dahl's friction, which builds up over a distance δ after each reversal.
 
-    The state h is the part of the level reached: dh/dq = (1 − h·sgn v)/δ. It depends on
-    the path and not on time, and far from a reversal it is Coulomb friction.
+    The state h is the share of the level: dh/dq = (1 − h·sgn v)/δ. It depends on the
+    path, not on time. Far from a reversal it is Coulomb friction.
     """
 
     id = "presliding"
@@ -41,7 +40,7 @@ class Presliding(Effect):
         return h[:, None, None]
 
     def begin(self, joints: Sequence[JointState]) -> Memory:
-        """It has moved for a little while, as in :func:`dahl`."""
+        """Memory of a joint that has moved for a short time, as in :func:`dahl`."""
         return joints[0].q - joints[0].v * _BEFORE, 0.0
 
     def at_instant(
@@ -66,7 +65,7 @@ def dahl(q: Array, speed: float, distance: float) -> Array:
 
     Args:
         q: Position, shape (N,), [rad].
-        speed: Speed at the first sample, [rad/s], and for a little while before it.
+        speed: Speed at the first sample and for a short time before, [rad/s].
         distance: Build-up distance δ, [rad].
 
     Returns:
@@ -75,7 +74,7 @@ def dahl(q: Array, speed: float, distance: float) -> Array:
     path = np.diff(q, prepend=q[0] - speed * _BEFORE)
     decay = np.exp(-np.abs(path) / distance)
     state = (1.0 - decay) * np.sign(path)
-    # Each sample maps the state before it to h ↦ decay · h + state. Joining these maps
+    # Each sample maps the previous state to h ↦ decay · h + state. Composing these maps
     # over 1, 2, 4, … samples takes log₂ N passes instead of a loop over samples.
     span = 1
     while span < len(q):

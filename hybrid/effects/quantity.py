@@ -1,4 +1,4 @@
-"""Parameters of a law without values yet, scaled to the size of a joint."""
+"""Definition of a law's parameters: unit, usual size, bounds and prior."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True)
 class Scale:
-    """Size of one joint, in which the usual sizes of effects are stated.
+    """Size of one joint, the unit of the usual sizes of effects.
 
     Attributes:
         torque: Rated torque, [N·m].
@@ -20,22 +20,22 @@ class Scale:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of a law before it has a value.
+    """Definition of a parameter of a law.
 
     Attributes:
-        name: Field's standard term.
+        name: Standard term of the field.
         unit: SI unit.
         typical: Usual size, in multiples of ``per``.
         lower: Smallest physically plausible value, in multiples of ``per``.
         upper: Largest physically plausible value, in multiples of ``per``.
-        per: What the numbers are multiples of: powers of the joint's rated torque and
-            speed, e.g. ``(1, -1)`` for torque/speed; ``(0, 0)`` for plain SI.
-        spread: Prior standard deviation in a fit, in multiples of ``per``; from its
-            usual size if not given.
-        inner: Whether it is of the fit alone, and no law has it.
-        whole: Whether it is a number of something, which is chosen and not fitted.
-        near: How far from a value a fit may look, in its unit; a part of its range if
-            not given.
+        per: Powers of the joint's rated torque and speed of which the numbers are
+            multiples, e.g. ``(1, -1)`` for torque/speed; ``(0, 0)`` for SI units.
+        spread: Prior standard deviation in a fit, in multiples of ``per``; from the
+            usual size by default.
+        inner: Whether only a fit uses it, and not the law.
+        whole: Whether it is chosen instead of fitted, as an integer.
+        near: Largest change in one refinement of a fit, in its unit; a share of its
+            range by default.
     """
 
     name: str

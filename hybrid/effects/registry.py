@@ -1,4 +1,4 @@
-"""Every known effect by id: this folder's files, entry points, and a user's file."""
+"""Registry of all effects: files of this folder, entry points, and a user's file."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def _shipped() -> dict[str, type[Effect]]:
 def _loaded(
     where: str, load: Callable[[], Any], known: Mapping[str, type[Effect]]
 ) -> dict[str, type[Effect]]:
-    """Effects of a module that names several, or of what is one effect itself.
+    """Effects of a module, or one effect class, by id.
 
     Raises:
-        EffectError: It cannot be loaded, defines no effect, or one that exists already.
+        EffectError: It cannot be loaded, defines no effect, or an id exists already.
     """
     try:
         found = _classes_in(load())
@@ -58,13 +58,13 @@ def _loaded(
     if not found:
         raise EffectError(f"{where}: defines no concrete subclass of hybrid.Effect")
     if taken := sorted(found.keys() & known.keys()):
-        # Saved models name effects by id: what an id means must not change.
+        # Saved models name effects by id, so the meaning of an id must not change.
         raise EffectError(f"{where}: {', '.join(taken)} exists already; rename it")
     return found
 
 
 def _classes_in(target: ModuleType | type[Effect]) -> dict[str, type[Effect]]:
-    """Effects that a module defines; or the one effect itself."""
+    """Effects that a module defines, or one effect class, by id."""
     whole = isinstance(target, ModuleType)
     found = [
         item
@@ -87,8 +87,8 @@ def effects_from_file(path: str | Path) -> tuple[str, ...]:
     The file is code that the user chose to run; data files never name one.
 
     Raises:
-        EffectError: The file is missing, fails, or defines no effect, an incomplete
-            one, or one that exists already.
+        EffectError: The file is missing or fails, or defines no effect, an incomplete
+            effect, or an existing id.
     """
     path = Path(path)
     if not path.is_file():
@@ -144,10 +144,10 @@ def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect
 
 
 def check_effects(effects: Sequence[object]) -> None:
-    """Check that effects are effects, and not their names.
+    """Check that all items are effects, and not, for example, their names.
 
     Raises:
-        EffectError: One is something else; the message says how to make an effect.
+        EffectError: An item is no effect; the message says how to make one.
     """
     for given in effects:
         if not isinstance(given, Effect):
@@ -161,16 +161,11 @@ def check_effects(effects: Sequence[object]) -> None:
 def effects_from_text(
     text: str, names: Sequence[str], scales: Sequence[Scale]
 ) -> list[Effect]:
-    """Effects from the command line's form, at their usual size.
+    """Effects from the text of the command line, at their usual size.
 
     ``stribeck:elbow,torque_ripple`` is Stribeck friction at the elbow and ripple at
     every joint; ``payload(mass=3)`` sets a value, ``transmission_coupling:5+6`` names
     two joints, ``coulomb:1,coulomb:2(level=4;…)`` several.
-
-    Args:
-        text: Comma-separated effects.
-        names: Joint names of the arm.
-        scales: Size of every joint.
 
     Raises:
         EffectError: The text does not parse, or names what does not exist.

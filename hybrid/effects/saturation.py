@@ -1,4 +1,4 @@
-"""A drive that cannot give all the torque that is asked of it."""
+"""Saturation of the drive torque."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from hybrid.effects.effect import Body, Effect, Port, Quantity
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.signals import Motion
 
-_CLIPS = 0.9  # loss from which a drive gives no more, whatever it is asked for
-_TOTAL = 0.8  # the same that a fit finds, at least, of one that does
-_NEAR = 0.2  # of the limit: how far from it a drive that clips delivers, at most
-_SELDOM = 0.1  # of the samples, at which it may not
-_MOVING = 0.05  # of the highest speed; at rest friction holds what it gets
-_ENOUGH = 100  # samples below the limit, or beyond, to learn from
-_CLEARLY, _HIGH = 1.1, 0.9  # times what is delivered in this part of the time
+_CLIPPED = 0.9  # loss from which a drive counts as clipping
+_LEAST_CLIPPED = 0.8  # smallest fitted loss of a drive that clips
+_LIMIT_TOLERANCE = 0.2  # of the limit: deviation of the torque of a drive that clips
+_MOST_OUTSIDE = 0.1  # of the samples beyond that tolerance
+_MOVING = 0.05  # of the highest speed; at rest friction balances any torque
+_FEWEST_SAMPLES = 100  # below the limit, or beyond it, for a fit
+# A command above this multiple of this quantile of the delivered torque is beyond it.
+_ASKED_MORE, _HIGH_QUANTILE = 1.1, 0.9
 
 
 class Saturation(Effect):
-    """Of the torque beyond a limit a part is lost: all of it, if the drive clips.
+    """A share of the torque beyond a limit is lost: all of it, if the drive clips.
 
-    A smaller part is iron in saturation, whose torque constant falls at high current.
-    The log shows the torque asked for, and only that tells by how much it went beyond.
+    A smaller share comes from iron saturation, where the torque constant falls at high
+    current. The log shows the commanded torque, which alone shows the excess.
     """
 
     id = "saturation"
@@ -33,7 +34,7 @@ class Saturation(Effect):
     gains = (Quantity("loss", "", 0.5, 0.0, 1.0, spread=5.0),)
     shapes = (
         Quantity("limit", "N·m", 0.3, 0.02, 2.0, per=(1, 0)),
-        # Whether a fit takes the drive to clip, and looks at the torque asked for.
+        # Whether a fit assumes that the drive clips, and uses the commanded torque.
         Quantity("total", "", 0.0, 0.0, 1.0, whole=True, inner=True),
     )
     equation = "τ_reported = τ_delivered + p · (τ_reported − clip(τ_reported, ±L))"
@@ -42,10 +43,10 @@ class Saturation(Effect):
     remedy = "Set the actuator's force range, and plan motions below it."
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Torque beyond the limit, where it is measured; see :meth:`Effect.columns`.
+        """Torque beyond the limit; see :meth:`Effect.columns`.
 
-        Of a drive that clips the torque delivered tells nothing but that it is at the
-        limit, or nearly, whenever more is asked for.
+        The delivered torque of a drive that clips does not show the excess, only that
+        it is near the limit whenever the commanded torque is beyond it.
         """
         tau = motion.tau[:, self.joints]
         if not self.values["total"] or motion.asked is None:
@@ -55,24 +56,24 @@ class Saturation(Effect):
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """The torque that is delivered where clearly more is asked for, if it often is.
+        """The median delivered torque while the commanded torque is clearly larger.
 
-        A drive that clips is no such one at other limits than near its own.
+        The law of a drive that clips fits only near its own limit.
         """
         both = [
             (m.tau[m.mask, j], m.asked[m.mask, j])
             for m in motions if m.asked is not None
         ]  # fmt: skip
         delivered, asked = np.abs(np.concatenate([np.zeros((2, 0)), *both], axis=1))
-        if len(asked) < _ENOUGH:
+        if len(asked) < _FEWEST_SAMPLES:
             return {}
-        more = asked > _CLEARLY * np.quantile(delivered, _HIGH)
-        if more.sum() < _ENOUGH:
+        more = asked > _ASKED_MORE * np.quantile(delivered, _HIGH_QUANTILE)
+        if more.sum() < _FEWEST_SAMPLES:
             return {}
         return {"limit": float(np.median(delivered[more])), "total": 1.0}
 
     def holds(self, motion: Motion) -> bool:
-        """Whether a drive that clips delivers its limit when more is asked for."""
+        """Whether a drive that clips delivers its limit when the command is beyond."""
         if not self.values["total"] or motion.asked is None:
             return True
         asked, tau, v = (
@@ -81,16 +82,16 @@ class Saturation(Effect):
         tau = self._delivered(motion, asked, tau)
         limit, moves = self.values["limit"], np.abs(v) > _MOVING * np.abs(v).max()
         over = moves & (np.abs(asked) > limit)
-        apart = np.abs(np.sign(asked) * tau - limit) > _NEAR * limit
-        return bool((over & apart).sum() <= _SELDOM * over.sum())
+        apart = np.abs(np.sign(asked) * tau - limit) > _LIMIT_TOLERANCE * limit
+        return bool((over & apart).sum() <= _MOST_OUTSIDE * over.sum())
 
     @property
     def least_gains(self) -> Array:
-        """Of a drive that clips all is lost; shape (1,)."""
-        return np.array([_TOTAL * self.values["total"]])
+        """A drive that clips loses nearly all of the excess; shape (1,)."""
+        return np.array([_LEAST_CLIPPED * self.values["total"]])
 
     def as_reported(self) -> Saturation:
-        """Beyond the limit p/(1 − p) of what is delivered is lost."""
+        """The loss p/(1 − p) of the delivered excess as the loss p of the reported."""
         gain = self.values["loss"]
         if self.values["total"]:
             return self.at({"loss": gain, "total": 0.0})
@@ -99,38 +100,38 @@ class Saturation(Effect):
     @property
     def actuator(self) -> Mapping[str, float]:
         """See :attr:`Instant.actuator`."""
-        clips = self.values["loss"] > _CLIPS
+        clips = self.values["loss"] > _CLIPPED
         return {"limit": self.values["limit"]} if clips else {}
 
     def deliver(self, torque: Array) -> Array:
-        """Torque delivered for one asked for."""
+        """Delivered torque for a commanded one."""
         return torque - self.values["loss"] * self._beyond(torque)
 
     def report_at_instant(
         self, torque: Sequence[Scalar], memory: Memory, step: Scalar
     ) -> tuple[Sequence[Scalar], Memory]:
-        """What to ask for so that a torque is delivered: the inverse of ``deliver``.
+        """Commanded torque for a delivered one: the inverse of ``deliver``.
 
-        A drive that clips is asked for no more than is needed.
+        For a drive that clips it is the delivered torque.
         """
         (needed,), loss, limit = torque, self.values["loss"], self.values["limit"]
-        share = loss / (1.0 - loss) if loss < _CLIPS else 0.0
+        share = loss / (1.0 - loss) if loss < _CLIPPED else 0.0
         beyond = needed - np.clip(needed, -limit, limit)
         return [needed + share * beyond], ()
 
     def _delivered(self, motion: Motion, asked: Array, tau: Array) -> Array:
-        """The file's torque (M, p), and friction and a rotor that the file may lack.
+        """The file's torque plus friction and rotor that the file may lack, (M, p).
 
-        These are learnt where less than the limit is asked for, and delivered.
+        These are fitted to samples whose commanded torque is below the limit.
         """
         out = np.array(tau)
         for k, j in enumerate(self.joints):
-            v, lacks = motion.v[:, j], asked[:, k] - tau[:, k]
+            v, residual = motion.v[:, j], asked[:, k] - tau[:, k]
             laws = np.stack([np.sign(v), v, motion.a[:, j]], axis=1)
-            moves = (np.abs(v) > _MOVING * np.abs(v).max()) & np.isfinite(lacks)
+            moves = (np.abs(v) > _MOVING * np.abs(v).max()) & np.isfinite(residual)
             below = moves & (np.abs(asked[:, k]) < self.values["limit"])
-            if below.sum() >= _ENOUGH:
-                fit = np.linalg.lstsq(laws[below], lacks[below], rcond=None)
+            if below.sum() >= _FEWEST_SAMPLES:
+                fit = np.linalg.lstsq(laws[below], residual[below], rcond=None)
                 out[:, k] += laws @ fit[0]
         return out
 

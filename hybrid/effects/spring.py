@@ -1,4 +1,4 @@
-"""A torque proportional to joint position: hose, cable or counterbalance."""
+"""A linear spring at a joint: hose, cable or counterbalance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a law may depend on: one joint's own state, and the rigid body around it."""
+"""Inputs of laws: the state of one joint, and the rigid body."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from hybrid.arrays import Array as Array
 
 @dataclass(frozen=True)
 class JointState:
-    """What a law of one joint may depend on; arrays of one shape.
+    """State of one joint, the input of its law; arrays of one shape.
 
     Attributes:
         t: Time, [s].
         q: Position, [rad].
         v: Speed, [rad/s].
         a: Acceleration, [rad/s²].
-        sign: Direction of motion, −1, 0 or 1. A plant may pass its own idea of it.
+        sign: Direction of motion, −1, 0 or 1; at rest, a plant passes that to come.
         load: Torque transmitted to the link, [N·m].
-        temperature: Temperature of the drive, [°C]; None where it is not measured.
+        temperature: Temperature of the drive, [°C]; None if it is not measured.
     """
 
     t: Array
@@ -52,7 +52,7 @@ class Body(Protocol):
         """Acceleration of gravity in the base frame, shape (3,), [m/s²]."""
 
     def weight(self, gravity: Array) -> Array:
-        """Torque that holds the links in a gravity, shape (N, n), [N·m]."""
+        """Torque that holds the links against a gravity, shape (N, n), [N·m]."""
 
     def wrench_columns(self, link: int) -> Array:
         """Torque per unit force and moment that a link exerts, shape (N, n, 6)."""

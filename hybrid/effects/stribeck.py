@@ -1,4 +1,4 @@
-"""Friction that falls as motion sets in."""
+"""Stribeck friction, which falls with speed."""
 
 from __future__ import annotations
 

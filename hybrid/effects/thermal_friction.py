@@ -1,4 +1,4 @@
-"""Viscous friction of a gear that is still cold."""
+"""Additional viscous friction of a cold gear."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _ROOM = 20.0  # °C
 
 
 class ThermalFriction(JointEffect):
-    """Viscous friction of cold oil, over that of warm oil: F·w·v.
+    """Viscous friction of cold oil in addition to that of warm oil: F·w·v.
 
-    How cold the gear is, w, falls from 1 towards 0. It follows the drive's temperature
-    where that is measured, and the clock of the recording where it is not.
+    The weight w falls from 1 towards 0. It is a function of the drive's temperature, or
+    of the time of the recording if no temperature is measured.
     """
 
     id = "thermal_friction"

@@ -15,13 +15,12 @@ from hybrid.effects.joint_effect import JointEffect
 class ThresholdFriction(JointEffect):
     """Nonlinear friction with a velocity threshold λ, continuous everywhere.
 
-    Above λ: a dry level for each direction and a rising cubic. Below λ the level may
-    fall towards λ, in a line and in a parabola (break-away), or rise to it (a
-    rounded knee); all of these vanish or settle at λ, so that the law is continuous
-    there. Rising and falling together are a level, so a fit needs only one of the two.
-    Within ±``width`` it is the straight line through zero. Beyond ``fastest``, the
-    highest speed that was seen, the curve goes on as its tangent. Every coefficient is
-    non-negative: friction takes energy at every speed.
+    Above λ there is a dry level for each direction and a cubic polynomial of speed.
+    Below λ the level may fall towards λ, linearly and quadratically (break-away), or
+    rise to it (a knee); the law is continuous at λ. The sum of rising and falling parts
+    is a level, so a fit needs only one of the two. Within ±``width`` the law is a
+    straight line through zero. Beyond ``fastest``, the highest speed in the data, it is
+    its tangent. All coefficients are non-negative, so friction always takes energy.
     """
 
     id = "threshold_friction"
@@ -60,7 +59,7 @@ class ThresholdFriction(JointEffect):
 
     @property
     def exact_fields(self) -> Mapping[str, str]:
-        """All, or all but the levels where these rise from rest."""
+        """All fields; without the levels if these rise from zero at rest."""
         dry = self.values["width"] == 0.0
         return {k: x for k, x in self.fields.items() if dry or x != "frictionloss"}
 
@@ -68,7 +67,7 @@ class ThresholdFriction(JointEffect):
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
         """Torque per unit of each coefficient."""
         speed, width = abs(state.v), shapes["width"]
-        # (Without a width the full level acts at rest too, where a plant has a sign.)
+        # Without a width the full level acts at rest too, where a plant has a sign.
         ramp = np.where(speed < width, speed / np.maximum(width, 1e-12), 1.0)
         sigma = state.sign * ramp
         below = np.clip(1.0 - speed / shapes["threshold"], 0.0, None)

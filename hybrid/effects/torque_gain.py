@@ -1,4 +1,4 @@
-"""A wrong torque constant."""
+"""Error of the torque constant."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class TorqueGain(Effect):
         return body.load[:, self.joints][:, :, None]
 
     def report(self, t: Array, torque: Array) -> Array:
-        """All that the drive delivers, rotor and friction too, times 1 + g."""
+        """The whole delivered torque, with rotor and friction, times 1 + g."""
         return torque * (1.0 + self.values["gain"])
 
     def report_at_instant(
@@ -41,5 +41,5 @@ class TorqueGain(Effect):
         return {"gain": 1.0 / (1.0 + self.values["gain"])}
 
     def deliver(self, torque: Array) -> Array:
-        """Torque delivered for a believed one."""
+        """Delivered torque for a commanded one."""
         return torque / (1.0 + self.values["gain"])

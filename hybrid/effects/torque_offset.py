@@ -1,4 +1,4 @@
-"""A constant in the reported torque."""
+"""Constant offset of the reported torque."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hybrid.effects.joint_effect import JointEffect
 
 
 class TorqueOffset(JointEffect):
-    """Constant torque: current-sensor bias or a brake that drags one way."""
+    """Constant torque: bias of the current sensor, or a brake that drags one way."""
 
     id = "torque_offset"
     usual = True

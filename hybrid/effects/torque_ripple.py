@@ -15,8 +15,8 @@ from hybrid.effects.joint_effect import JointEffect
 class TorqueRipple(JointEffect):
     """Periodic torque of motor cogging or gear teeth: A·sin(k q + φ).
 
-    Above ``fastest``, the highest speed at which a fit could see it, it fades, and is
-    gone at twice that speed.
+    Above ``fastest``, the highest speed at which a fit could identify it, its amplitude
+    falls linearly, to zero at twice that speed.
     """
 
     id = "torque_ripple"

@@ -1,4 +1,4 @@
-"""Two joints geared together."""
+"""Coupling of two joints by a common rotor."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class TransmissionCoupling(Effect):
-    """One rotor turns with the sum of two joints, as in many wrists.
+    """One rotor turns with the sum of two joint positions, as in many wrists.
 
-    Its inertia and friction act on both joints alike. What a rotor adds to its own
-    joint is the sum of this and of that joint's armature and friction.
+    Its inertia and friction act equally on both joints, in addition to the armature and
+    friction of each joint.
     """
 
     id = "transmission_coupling"
@@ -63,7 +63,7 @@ class TransmissionCoupling(Effect):
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Add a tendon whose length is the sum of both joints.
 
-        What a fit has below zero is none: MuJoCo takes no other.
+        Negative values of a fit become 0, because MuJoCo refuses them.
         """
         pair = [names[j] for j in self.joints]
         rotor = spec.add_tendon(name=f"{'+'.join(pair)}/{self.id}")

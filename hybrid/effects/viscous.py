@@ -32,5 +32,5 @@ class Viscous(JointEffect):
         return (state.v,)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Add it to the joint's damping, which does not shake a light link."""
+        """Add it to the joint's damping, which is stable for a light link."""
         spec.joint(names[self.joints[0]]).damping[0] += self.values["coefficient"]

@@ -1,4 +1,4 @@
-"""Motions that reveal the parameters of an arm."""
+"""Design of excitation motions for the identification of an arm."""
 
 from hybrid.excitation.clearance import Clearance, Floor
 from hybrid.excitation.constraints import Limits

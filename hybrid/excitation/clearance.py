@@ -1,4 +1,4 @@
-"""Constraints on the distance between links, and from their surroundings."""
+"""Constraints on the distance between links, and on their height above a floor."""
 
 from __future__ import annotations
 
@@ -17,24 +17,22 @@ from hybrid.robot.chain import Chain
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 from hybrid.robot.robot import Robot
 
-# The length in which a missing distance is counted; limits have their own size.
-_LENGTH = 0.2  # m
+_LENGTH = 0.2  # m, unit of the excess of a distance
 _POSTURES = 300
-# Of links two joints apart, such as those of a wrist, the capsules may touch wherever
-# they are: pairs that do so in more than this part of all postures say nothing.
-_OFTEN = 0.3
-_ALWAYS = 0.95  # those that touch in more postures are joined by their joints
+# The capsules of links two joints apart, as in a wrist, may touch in most postures.
+_MOST_CONTACT = 0.3  # share of postures in contact above which a pair is left out
+_JOINED = 0.95  # share of postures in contact above which a pair is joined by design
 
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
     """A least distance between links that are not neighbours.
 
-    Links are covered by capsules, so that what is kept here is kept by the geometry.
+    Capsules cover the geometry of the links, so their distance is a lower bound.
 
     Attributes:
         robot: The arm.
-        capsules: What covers its links and its base.
+        capsules: Capsules that cover its links and its base.
         pairs: Links to keep apart, −1 for the base, shape (K, 2).
         margin: Least distance, [m].
     """
@@ -59,8 +57,8 @@ class Clearance:
             RobotError: There is no geometry.
 
         Warns:
-            HybridWarning: A moving link has no geometry, or pairs are left out, as
-                their capsules often touch.
+            HybridWarning: A moving link has no geometry, or a pair is left out because
+                its capsules often touch.
         """
         capsules = capsules_from_robot(robot)
         links = np.unique(capsules.link)
@@ -68,15 +66,15 @@ class Clearance:
             text = f"not kept apart, without collision geometry: {', '.join(bare)}"
             warnings.warn(text, HybridWarning, stacklevel=2)
         pairs = [(i, j) for i in links for j in links if j > i + 1]
-        every = cls(robot, capsules, np.array(pairs).reshape(-1, 2), margin)
+        all_pairs = cls(robot, capsules, np.array(pairs).reshape(-1, 2), margin)
         q = np.random.default_rng(0).uniform(
             limits.low, limits.high, (_POSTURES, robot.size)
         )
-        share = (every.distance(q) < margin).mean(axis=0)
-        kept = cls(robot, capsules, every.pairs[share <= _OFTEN], margin)
-        unsure = (share > _OFTEN) & (share < _ALWAYS)
-        if unsure.any():
-            left_out = replace(kept, pairs=every.pairs[unsure]).names
+        share = (all_pairs.distance(q) < margin).mean(axis=0)
+        kept = cls(robot, capsules, all_pairs.pairs[share <= _MOST_CONTACT], margin)
+        often = (share > _MOST_CONTACT) & (share < _JOINED)
+        if often.any():
+            left_out = replace(kept, pairs=all_pairs.pairs[often]).names
             named = ", ".join(x.split("links of ")[1] for x in dict.fromkeys(left_out))
             text = f"not kept apart, as their capsules touch too often: {named}"
             warnings.warn(text, HybridWarning, stacklevel=2)
@@ -86,8 +84,8 @@ class Clearance:
     def _rows(self) -> tuple[Index, Index, Index]:
         """First and second capsule and pair of links of each condition, shape (M,).
 
-        One condition for any two capsules: the distance of links has kinks, where
-        others of their capsules become the closest, and a solver would get stuck there.
+        Each pair of capsules is one condition. The distance of two links is not smooth
+        where other capsules become the closest ones, which would stop the solver.
         """
         link = self.capsules.link
         rows = [
@@ -111,8 +109,8 @@ class Clearance:
     def distance(self, q: Array) -> Array:
         """Least distance of each pair, negative where capsules overlap, (N, K), [m]."""
         pair = self._rows[2]
-        every = self._distances(q)
-        own = [every[:, pair == k].min(axis=1) for k in range(len(self.pairs))]
+        distances = self._distances(q)
+        own = [distances[:, pair == k].min(axis=1) for k in range(len(self.pairs))]
         return np.stack(own, axis=1) if own else np.zeros((len(q), 0))
 
     def excess(self, path: Path) -> Array:
@@ -148,7 +146,7 @@ class Floor:
 
     Attributes:
         robot: The arm.
-        capsules: What covers its links.
+        capsules: Capsules that cover its links.
         height: The height, [m].
     """
 
@@ -160,7 +158,7 @@ class Floor:
 
     @cached_property
     def _ends(self) -> tuple[Index, Index]:
-        """Capsule, and which of its ends, of each condition, shape (K,)."""
+        """Capsule and end (0 or 1) of each condition, shape (K,)."""
         moving = np.flatnonzero(self.capsules.link >= 1)
         return np.repeat(moving, 2), np.tile([0, 1], len(moving))
 
@@ -237,13 +235,13 @@ def ends_in_world(chain: Chain, capsules: Capsules, q: Array) -> Array:
 def point_change(
     chain: Chain, q: Array, link: Index | int, point: Array, direction: Array
 ) -> Array:
-    """Derivative by the joints of points on links along a direction, (N, n).
+    """Derivative by the joint positions of points along a direction, shape (N, n).
 
     Args:
         chain: The arm.
         q: Positions, shape (N, n), [rad].
-        link: The link, −1 for the base, one for all or shape (N,).
-        point: Where the point is in the base frame, shape (N, 3), [m].
+        link: Link of the points, −1 for the base; one for all, or shape (N,).
+        point: Points in the base frame, shape (N, 3), [m].
         direction: Direction in the base frame, shape (N, 3).
     """
     out = np.zeros_like(q)
@@ -274,11 +272,11 @@ def closest_points(first: Array, second: Array) -> tuple[Array, Array]:
     dd, ee, de = _dot(d, d), _dot(e, e), _dot(d, e)
     between = p - r
     dp, ep = _dot(d, between), _dot(e, between)
-    # Parallel segments and points have no slope to follow: any of their points will do.
+    # For parallel segments and for points, any point of the first will do.
     determinant, tiny = dd * ee - de * de, 1e-12
     along = (de * ep - dp * ee) / np.maximum(determinant, tiny)
     s = np.clip(np.where(determinant > tiny, along, 0.0), 0.0, 1.0)
-    # Where t leaves the second segment, the closest point is that of its end.
+    # If t lies outside the second segment, the closest point is at its end.
     t = np.clip((de * s + ep) / np.maximum(ee, tiny), 0.0, 1.0)
     s = np.clip((de * t - dp) / np.maximum(dd, tiny), 0.0, 1.0)
     s = np.where(dd > tiny, s, 0.0)

@@ -1,4 +1,4 @@
-"""Limits that a motion keeps: of position, speed, acceleration, jerk and torque."""
+"""Limits of a motion: position, speed, acceleration, jerk and torque."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Index = NDArray[np.intp]
 
 
 class Constraint(Protocol):
-    """K conditions that each sample of a motion has to keep."""
+    """K conditions on each sample of a motion."""
 
     is_linear: ClassVar[bool]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each condition is, for messages, length K."""
+        """Name of each condition, for messages, length K."""
 
     def excess(self, path: Path) -> Array:
-        """Distance of each condition from its limit, over the limit, shape (N, K).
+        """Excess over the limit, relative to the limit, shape (N, K).
 
-        It is zero at the limit and positive where the condition is violated.
+        It is zero at the limit and positive if the condition is violated.
         """
 
     def slope(self, path: Path, which: Index) -> Array:
@@ -40,7 +40,7 @@ class Constraint(Protocol):
 
         Args:
             path: Samples, N of them.
-            which: The condition that is meant in each sample, shape (N,).
+            which: Index of the condition in each sample, shape (N,).
 
         Returns:
             Derivatives by position, speed, acceleration and jerk, shape (N, 4, n).
@@ -49,7 +49,7 @@ class Constraint(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What the joints of an arm may do; infinite where anything is allowed.
+    """Limits of the joints of an arm; infinite without a limit.
 
     Attributes:
         low: Lowest position, shape (n,), [rad].
@@ -84,7 +84,7 @@ class Limits:
 
     @property
     def usable_acceleration(self) -> Array:
-        """Highest acceleration; a default where there is no limit, shape (n,)."""
+        """Highest acceleration, or a default without a limit, shape (n,), [rad/s²]."""
         limited = np.isfinite(self.acceleration)
         return np.where(limited, self.acceleration, DEFAULT_ACCELERATION)
 
@@ -101,13 +101,12 @@ class Limits:
 
     @classmethod
     def of(cls, robot: Robot, *, fill: float = 0.8, jerk: float = np.inf) -> Limits:
-        """Take a part of the robot file's limits, about the middle of each range.
+        """A share of the robot file's limits, about the middle of each range.
 
         Args:
-            robot: The arm; a position or speed it does not limit is taken as ±π rad
-                and 2 rad/s, and an acceleration, where it limits no torque either, as
-                10 rad/s².
-            fill: Part of the limits to use, above 0 up to 1.
+            robot: The arm. Missing limits are ±π rad and 2 rad/s, and 10 rad/s² if the
+                torque has no limit either.
+            fill: Share of the limits to use, above 0 up to 1.
             jerk: Highest jerk of all joints, [rad/s³].
         """
         if not 0 < fill <= 1:
@@ -180,7 +179,7 @@ class MotionLimits:
 
 @dataclass(frozen=True, eq=False)
 class TorqueLimits:
-    """Torque of the nominal arm: rigid body, rotors and the friction its file declares.
+    """Torque of the nominal arm: rigid body, rotors and friction of its file.
 
     Attributes:
         robot: The arm.

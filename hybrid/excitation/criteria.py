@@ -1,9 +1,9 @@
-"""What makes a motion good: functions of its information G = Wᵀ W, with gradients.
+"""Optimality criteria: functions of the information G = Wᵀ W, with gradients.
 
 All are logarithms, and smaller is better. The condition number has no gradient where
-eigenvalues meet, and at its optimum they do: in its place stand p-means of the
-eigenvalues and of their inverses, which a large p brings near the largest and the
-smallest (Kiefer 1974, doi 10.1214/aos/1176342810).
+eigenvalues coincide, as they do at its optimum. So it is replaced by p-means of the
+eigenvalues and of their inverses, which tend to the largest and the smallest eigenvalue
+for large p (Kiefer 1974, doi 10.1214/aos/1176342810).
 """
 
 from __future__ import annotations
@@ -15,22 +15,21 @@ import numpy as np
 
 from hybrid.arrays import Array
 
-# Eigenvalues below this part of the largest are rounding.
-_FLOOR = 1e-15
+_FLOOR = 1e-15  # of the largest eigenvalue: smaller ones are rounding errors
 
 
 class Criterion(Protocol):
     """A measure of the information of a motion; smaller is better."""
 
     def value(self, gram: Array) -> float:
-        """The measure itself, of information of shape (b, b)."""
+        """The measure of the information, shape (b, b)."""
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """Logarithm of the measure, and its derivative by G, shape (b, b).
 
         Args:
             gram: Information, shape (b, b).
-            power: The larger, the nearer to the measure, and the more curved.
+            power: A larger one is nearer to the measure, but less smooth.
         """
 
 
@@ -55,7 +54,7 @@ class Condition:
 class DOptimal:
     """Volume of the confidence ellipsoid: geometric mean of its axes, det(G)^(−1/2b).
 
-    Whatever the scale of the columns, the same motion is best.
+    The best motion does not depend on the scale of the columns.
     """
 
     def value(self, gram: Array) -> float:
@@ -63,7 +62,7 @@ class DOptimal:
         return float(np.exp(self.smooth(gram, 1.0)[0]))
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
-        """See :class:`Criterion`; it is smooth as it is."""
+        """See :class:`Criterion`; it is smooth, and ``power`` is not used."""
         eigenvalues, vectors = spectrum(gram)
         b = len(gram)
         value = -0.5 * float(np.log(eigenvalues).mean())

@@ -1,4 +1,4 @@
-"""Design excitation motions, verify their limits, predict standard errors."""
+"""Design of excitation motions, with verified limits and predicted standard errors."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from hybrid.files import atomic_folder, write_json
 from hybrid.robot.robot import Robot
 from hybrid.shown import Shown
 
-# Sharpness of the criterion and iterations: for each start, then for the best of them.
-# To sharpen too early ends in a worse minimum.
+# Power of the criterion and iterations: for each start, then for the best of them. A
+# large power too early leads to a worse minimum.
 _EXPLORE = (4.0, 80)
 _POLISH = ((4.0, 80), (16.0, 100), (64.0, 200))
-_MARGIN = 1e-3
-_TRIES, _REPAIR = 7, 60
-_KEPT = 1e-4  # an excess below is rounding, not a limit in the way
+_MARGIN = 1e-3  # of every limit
+_REPAIRS, _REPAIR_ITERATIONS = 7, 60
+_ROUNDING = 1e-4  # an excess below is a rounding error
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +45,14 @@ class Design(Shown):
 
     Attributes:
         robot: The arm.
-        observation: What is to be identified.
-        criterion: What the motions were chosen by.
+        observation: The unknowns.
+        criterion: The optimality criterion.
         trajectories: The motions.
-        grams: Information of each on the design grid, shape (b, b).
+        grams: Information of each motion on the design grid, shape (b, b).
         rate: Samples of the design grid per second, [Hz].
-        value: The criterion, of all motions.
-        excess: Largest excess of each limit over all motions, in parts of the limit, on
-            a grid ten times finer than the design grid; 0 or below.
+        value: Value of the criterion for all motions.
+        excess: Largest relative excess over each limit in all motions, on a grid ten
+            times finer than the design grid; 0 or below.
     """
 
     robot: Robot
@@ -71,12 +71,12 @@ class Design(Shown):
 
     @property
     def condition(self) -> float:
-        """Condition number of the observation matrix as it is, whitened."""
+        """Condition number of the whitened observation matrix."""
         return gram_condition(self.gram)
 
     @cached_property
     def rigid_conditions(self) -> dict[str, float]:
-        """Condition number of the rigid body alone, not whitened, by named columns."""
+        """Condition number of the rigid body alone, not whitened, by base columns."""
         t = uniform(self.trajectories[0].family.duration, self.rate)
         whole = Path.joined([x.path(t) for x in self.trajectories])
         return rigid_conditions(self.robot.chain, whole)
@@ -94,7 +94,7 @@ class Design(Shown):
     def standard_errors(self) -> Array:
         """Predicted standard error of every unknown, in its own unit, shape (b,).
 
-        Of a log with as many independent samples as the design grid has.
+        It is for a log with as many independent samples as the design grid has.
         """
         variance = np.linalg.inv(self.gram).diagonal()
         return np.asarray(np.sqrt(variance) * self.observation.scale)
@@ -103,7 +103,7 @@ class Design(Shown):
     def additions(self) -> Array:
         """Relative reduction of the mean axis of the confidence ellipsoid, by motion.
 
-        Shape (T,); the first, which starts from nothing, counts 1.
+        Shape (T,); 1 for the first motion.
         """
         b = self.observation.size
         sums = np.cumsum(self.grams, axis=0)
@@ -120,9 +120,9 @@ class Design(Shown):
         """Write the motions as CSV files, and ``design.json``.
 
         Args:
-            folder: Where the files shall be.
+            folder: Folder of the files.
             rate: Samples of the motions per second, [Hz].
-            more: JSON-ready content to add, such as how it came about.
+            more: JSON-ready content to add to ``design.json``.
 
         Returns:
             The files of the motions.
@@ -171,26 +171,26 @@ def design(
     rate: float = 20.0,
     together: bool = False,
 ) -> Design:
-    """Design motions that reveal the parameters.
+    """Design motions that identify the parameters.
 
     Args:
-        robot: The arm, whose nominal torque shall stay within the limits.
-        observation: What is to be identified, see :func:`observe`.
-        family: Motions to choose from.
-        seed: Seed or generator of the starts.
-        criterion: What makes a motion good; by default the expected torque error on
-            random motions of the family within the limits.
+        robot: The arm; its nominal torque stays within the limits.
+        observation: The unknowns, see :func:`observe`.
+        family: Family of motions.
+        seed: Seed or generator of the random starts.
+        criterion: Optimality criterion; by default the expected torque error on random
+            motions of the family within the limits.
         limits: Limits of the joints; 80 % of the robot file's by default.
-        constraints: What is to be kept besides, e.g. a distance between links.
+        constraints: Additional constraints, e.g. a distance between links.
         trajectories: Number of motions.
-        starts: Random starts, for each motion or the set; the best one is followed.
+        starts: Random starts for each motion, or for the set; the best one is refined.
         rate: Samples of the design grid per second, [Hz].
-        together: Choose the motions as a set; by default one after the other, each for
-            what it adds. A set is better, and takes longer; its first motions are not.
+        together: Optimise all motions together; by default one after the other. That
+            takes longer and gives a better set, but its first motions alone are worse.
 
     Raises:
-        ExcitationError: No motion within the limits was found; the message says which
-            limit of which joint is in the way.
+        ExcitationError: No motion within the limits was found; the message names the
+            limits and joints that prevent it.
     """
     if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
@@ -218,7 +218,7 @@ def design(
         x, worst = best_point(program, [program.random(rng) for _ in range(starts)])
         found = tuple(map(program.trajectory, program.parts(x)))
     else:
-        found, worst = _in_turn(program, trajectories, starts, rng)
+        found, worst = _one_by_one(program, trajectories, starts, rng)
     grams = tuple(_gram(observation, x, rate) for x in found)
     seen = np.asarray(sum(_gram(program.observation, x, rate) for x in found))
     return Design(
@@ -226,13 +226,13 @@ def design(
     )
 
 
-def _in_turn(
+def _one_by_one(
     program: MotionProgram, count: int, starts: int, rng: np.random.Generator
 ) -> tuple[tuple[Trajectory, ...], dict[str, float]]:
-    """Motions one after the other, and the largest excess of each limit.
+    """Optimise motions one after the other; returns them and the largest excesses.
 
-    Each also starts from the one before. Should it bring less than to run the one
-    before again, that is run again.
+    Each search also starts from the previous motion. If a new motion is worse than a
+    repetition of the previous one, that is repeated.
     """
     found: list[Trajectory] = []
     last = program.known
@@ -264,39 +264,33 @@ def _gram(observation: Observation, trajectory: Trajectory, rate: float) -> Arra
 def best_point(
     program: MotionProgram, points: Sequence[Array]
 ) -> tuple[Array, dict[str, float]]:
-    """The best point reached from several, and how far it stays from every limit.
-
-    Args:
-        program: What is to be minimised.
-        points: Where to start.
+    """The best optimum from several starts, and its excess over each limit.
 
     Raises:
         ExcitationError: No motion within the limits was found.
     """
     power, iterations = _EXPLORE
-    rough = replace(program, power=power)
-    tries = [solve(rough, x, iterations=iterations) for x in points]
-    solution = min(tries, key=_merit)
+    smooth = replace(program, power=power)
+    optima = [solve(smooth, x, iterations=iterations) for x in points]
+    solution = min(
+        optima, key=lambda x: (x.excess > 0.01, x.value + PENALTY * x.excess)
+    )
     for power, iterations in _POLISH:
         solution = _continued(replace(program, power=power), solution, iterations)
     margin, penalty = program.margin, PENALTY
-    for _ in range(_TRIES):
+    for _ in range(_REPAIRS):
         excess = program.verified(solution.x)
         worst = max(excess.values())
         if worst <= 0:
             return solution.x, excess
-        if solution.excess > _KEPT:
+        if solution.excess > _ROUNDING:
             penalty *= 10.0
-        # Between the samples of the design grid the torque may be a little higher, and
-        # where another link becomes the closest one the distance has a kink.
+        # Between the samples of the design grid a torque may be a little higher, or a
+        # distance smaller.
         margin += 1.2 * worst
         sharp = replace(program, power=_POLISH[-1][0], margin=margin)
-        solution = _continued(sharp, solution, _REPAIR, penalty)
+        solution = _continued(sharp, solution, _REPAIR_ITERATIONS, penalty)
     raise ExcitationError(_infeasible(excess))
-
-
-def _merit(solution: Optimum) -> tuple[bool, float]:
-    return solution.excess > 0.01, solution.value + 5.0 * solution.excess
 
 
 def _continued(

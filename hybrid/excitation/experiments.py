@@ -2,9 +2,8 @@
 
 A ladder of speeds shows friction, micro-reversals show presliding and backlash, static
 poses show gravity, a multisine shows delay and elasticity, and one path at several
-speeds tells inertia from friction from gravity. All but the last, whose path is given,
-keep to 80 % of the robot file's limits, and an :class:`.ExcitationError` says which of
-them leaves too little.
+speeds separates inertia, friction and gravity. All but the last stay within 80 % of the
+robot file's limits; an :class:`.ExcitationError` names a limit that prevents a motion.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def at_speeds(
     """The same path at several speeds, each at the rate of the reference.
 
     Args:
-        robot: The arm, whose file's limits are kept.
+        robot: The arm; the limits of its file are kept.
         reference: The path.
         factors: Multiples of its speed, above 0.
     """
@@ -62,8 +61,8 @@ def speed_ladder(
     Args:
         robot: The arm.
         joint: Joint that moves.
-        posture: Where the other joints stay and this one is centred, shape (n,),
-            [rad]; by default the middle of the range.
+        posture: Position of the other joints and centre of this one, shape (n,), [rad];
+            the middle of the range by default.
         longest: Longest time at one speed, [s].
         rate: Samples per second, [Hz].
     """
@@ -103,7 +102,7 @@ def micro_reversals(
     Args:
         robot: The arm.
         joint: Joint that moves.
-        posture: Where all joints begin, shape (n,), [rad]; by default the middle.
+        posture: Start of all joints, shape (n,), [rad]; the middle by default.
         rate: Samples per second, [Hz].
     """
     limits, home = _settings(robot, posture)
@@ -120,12 +119,12 @@ def micro_reversals(
 def static_poses(
     robot: Robot, poses: Array, *, hold: float = 1.0, rate: float = 500.0
 ) -> Reference:
-    """From pose to pose, at rest in each.
+    """A motion through poses, with a stop in each.
 
     Args:
         robot: The arm.
-        poses: Poses to visit in this order, shape (K, n), [rad].
-        hold: Time at rest in each, above 0, [s].
+        poses: Poses in order, shape (K, n), [rad].
+        hold: Time at rest in each pose, above 0, [s].
         rate: Samples per second, [Hz].
     """
     if np.ndim(poses) != 2 or np.shape(poses)[1] != robot.size:
@@ -146,18 +145,17 @@ def multisine(
     seed: int | np.random.Generator = 0,
     rate: float = 500.0,
 ) -> Reference:
-    """All joints at once, with power at many frequencies and random phases.
+    """A motion of all joints at once, with many frequencies and random phases.
 
-    Joints have no frequency in common, so that what each one does can be told apart
-    (Pintelon and Schoukens 2012, doi 10.1002/9781118287422, chapter 2). Tones lie from
-    0.2 to 5 Hz, and amplitudes fall with frequency, so that each accelerates alike;
-    both ends are at rest.
+    No two joints have a frequency in common, so their responses can be separated
+    (Pintelon and Schoukens 2012, doi 10.1002/9781118287422, chapter 2). Tones lie
+    between 0.2 and 5 Hz and have equal accelerations. Both ends are at rest.
 
     Args:
         robot: The arm.
         duration: Length, [s].
-        fill: Part of the limits to use.
-        posture: Middle of the motion, shape (n,), [rad]; by default of the range.
+        fill: Share of the limits to use.
+        posture: Middle of the motion, shape (n,), [rad]; that of the range by default.
         seed: Seed or generator of the phases.
         rate: Samples per second, [Hz].
     """
@@ -170,11 +168,11 @@ def multisine(
             "or more for each joint, above 0 and below half the rate"
         )
     rng, t = np.random.default_rng(seed), uniform(duration, rate)
-    # Rises from 0 to 1 and falls again, with two derivatives.
+    # A window that rises from 0 to 1 and falls again, with two derivatives.
     fade = min(1.0, duration / 4)
     knots = np.array([0.0, fade, duration - fade, duration])
-    rise = quintic(knots, np.array([0.0, 1.0, 1.0, 0.0]), *np.zeros((2, 4)))
-    w0, w1, w2 = (np.asarray(rise(t, nu=k)) for k in range(3))
+    window = quintic(knots, np.array([0.0, 1.0, 1.0, 0.0]), *np.zeros((2, 4)))
+    w0, w1, w2 = (np.asarray(window(t, nu=k)) for k in range(3))
     motion = np.zeros((3, len(t), robot.size))
     for j in range(robot.size):
         w = 2 * np.pi * lines[j :: robot.size] / duration
@@ -202,13 +200,8 @@ def multisine(
 def checked(robot: Robot, reference: Reference, limits: Limits) -> Reference:
     """Check a reference against the limits, and return it.
 
-    Args:
-        robot: The arm.
-        reference: Motion to check.
-        limits: Limits.
-
     Raises:
-        ExcitationError: It does not; the message says which limit of which joint.
+        ExcitationError: It exceeds a limit; the message names limit and joint.
     """
     limits = replace(limits, jerk=np.full(robot.size, np.inf))
     path = path_from_reference(reference)
@@ -227,13 +220,13 @@ def checked(robot: Robot, reference: Reference, limits: Limits) -> Reference:
 
 
 def path_from_reference(reference: Reference) -> Path:
-    """Samples of a reference; its jerk is not known and taken as zero."""
+    """Samples of a reference, with a jerk of zero, which it does not have."""
     zero = np.zeros_like(reference.q)
     return Path(reference.t, reference.q, reference.v, reference.a, zero)
 
 
 def _settings(robot: Robot, posture: Array | None) -> tuple[Limits, Array]:
-    """Limits, and the posture that a motion is about."""
+    """Limits, and the checked posture or the middle of the range."""
     limits = Limits.of(robot)
     home = limits.middle if posture is None else np.asarray(posture, dtype=float)
     if home.shape != (robot.size,):

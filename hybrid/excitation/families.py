@@ -18,11 +18,11 @@ _DEGREE = 5  # of the splines: jerk is continuous
 
 @dataclass(frozen=True)
 class Fourier:
-    """Harmonics of one fundamental, combined so that the motion starts at rest.
+    """Fourier series that begin and end at rest.
 
     q(t) = c₀ + Σₖ sₖ sin(kωt) + cₖ cos(kωt) with Σ k sₖ = 0 and Σ k² cₖ = 0, so that
-    speed and acceleration vanish at t = 0 and after every period (Swevers et al. 1997,
-    doi 10.1109/70.631234, with the condition of rest built into the basis).
+    speed and acceleration are zero at t = 0 and after every period (Swevers et al.
+    1997, doi 10.1109/70.631234; there the ends are not at rest).
 
     Attributes:
         order: Number of harmonics, two or more.
@@ -82,8 +82,8 @@ class Fourier:
 class Spline:
     """Quintic B-splines on uniform knots, clamped, at rest at both ends.
 
-    The first three control points are equal, and so are the last three: speed and
-    acceleration vanish there. The motion need not end where it began.
+    The first three control points are equal, and so are the last three, so that speed
+    and acceleration are zero there. The motion may end at another position.
 
     Attributes:
         length: Duration of the motion, [s].
@@ -131,6 +131,6 @@ class Spline:
 def harmonics(t: Array, order: int, fundamental: float, derivative: int) -> Array:
     """A derivative of sin(kωt), then of cos(kωt), k = 1 … order; (N, 2·order)."""
     w = 2 * np.pi * fundamental * np.arange(1, order + 1)
-    # Each derivative multiplies by kω and turns the phase by a quarter.
+    # Each derivative multiplies by kω and shifts the phase by π/2.
     phase = np.multiply.outer(t, w) + derivative * np.pi / 2
     return np.hstack([w**derivative * np.sin(phase), w**derivative * np.cos(phase)])

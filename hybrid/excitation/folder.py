@@ -1,4 +1,4 @@
-"""A design on disk: references as CSV, beside figures of merit as JSON."""
+"""Files of a design: references as CSV, results as JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def reference_paths(folder: Path, count: int) -> list[Path]:
 def write_reference(
     path: str | Path, reference: Reference, joints: tuple[str, ...]
 ) -> None:
-    """Write a motion to run: time [s], then q [rad], v [rad/s] and a [rad/s²].
+    """Write a reference: time [s], then q [rad], v [rad/s] and a [rad/s²].
 
     Args:
         path: CSV file; columns are ``t``, ``q_<joint>``, ``v_<joint>``, ``a_<joint>``.

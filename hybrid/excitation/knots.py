@@ -1,4 +1,4 @@
-"""Motions through knots, the building blocks of ready-made experiments."""
+"""Motions through knots, from which ready-made experiments are built."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 5.7735  # peaks of a unit move
 
 
 class Walk:
-    """States one after the other from a pose at rest, joined by quintic polynomials.
+    """A sequence of knots from a pose at rest, joined by quintic polynomials.
 
     Args:
-        home: The pose, shape (n,), [rad].
+        home: The first pose, shape (n,), [rad].
     """
 
     def __init__(self, home: Array) -> None:
@@ -31,26 +31,26 @@ class Walk:
         return Reference(t, *(np.asarray(curve(t, nu=k)) for k in range(3)))
 
     def wait(self, duration: float) -> None:
-        """Stay for a time, [s]."""
+        """Stand still for a time, [s]."""
         self._add(duration, self._q[-1], np.zeros_like(self._q[-1]))
 
     def go(self, goal: Array, duration: float) -> None:
-        """To a pose at rest in a time, [s]."""
+        """Move to a pose and stop, in a given time, [s]."""
         self._add(duration, goal, np.zeros_like(goal))
 
     def move(self, goal: Array, limits: Limits) -> None:
-        """To a pose at rest, at up to half the limits."""
-        way = np.abs(goal - self._q[-1])
-        if way.max() < 1e-12:
+        """Move to a pose and stop, with half of the limits."""
+        distance = np.abs(goal - self._q[-1])
+        if distance.max() < 1e-12:
             return
-        slowest = _QUINTIC_SPEED * way / (0.5 * limits.speed)
-        hardest = np.sqrt(
-            _QUINTIC_ACCELERATION * way / (0.5 * limits.usable_acceleration)
+        by_speed = _QUINTIC_SPEED * distance / (0.5 * limits.speed)
+        by_acceleration = np.sqrt(
+            _QUINTIC_ACCELERATION * distance / (0.5 * limits.usable_acceleration)
         )
-        self.go(goal, float(max(slowest.max(), hardest.max(), 0.1)))
+        self.go(goal, float(max(by_speed.max(), by_acceleration.max(), 0.1)))
 
     def cruise(self, joint: int, speed: float, ramp: float, duration: float) -> None:
-        """Speed up, keep the speed, and stop."""
+        """Accelerate one joint, keep its speed, and stop."""
         for time, way, v in (
             (ramp, 0.5 * ramp, 1.0),
             (duration, duration, 1.0),

@@ -1,7 +1,7 @@
-"""The observation matrix of a motion: whitened, scaled, and its gradient.
+"""The whitened and scaled observation matrix of a motion, with its gradient.
 
-Of the inertial parameters only combinations can be told, and which parameters stand for
-them is a choice: the same motion has another condition number in each.
+Only combinations of the inertial parameters are identifiable. The condition number of a
+motion depends on which parameters are chosen to represent them.
 """
 
 from __future__ import annotations
@@ -27,28 +27,27 @@ from hybrid.errors import ExcitationError
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Chain
 
-# Dry friction turns its direction within this speed: a step has no gradient.
+# Dry friction is smoothed within this speed, since a step has no gradient.
 TURNING_SPEED = 0.02  # rad/s
-_STEP = 1e-5
+_STEP = 1e-5  # relative, for finite differences
 FIRST = "first independent columns"
 PIVOTED = "columns by pivoted QR"
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Columns of everything that is to be identified, along a motion.
+    """The observation matrix of an arm with some effects.
 
     A row is the torque of one joint at one time per unit of every unknown. Rows are
-    whitened by the noise, W = Ω^(−1/2) Y, and columns scaled, so that a criterion on W
-    weighs what a fit will weigh.
+    whitened by the noise, W = Ω^(−1/2) Y, and columns are scaled.
 
     Attributes:
         chain: The arm.
         effects: Effects whose gains are unknown; dry friction, viscous friction, ...
-        base: Independent combinations over all inertial parameters and gains.
+        base: Base parameters of all inertial parameters and gains.
         whitening: Lower triangular L⁻¹ of the noise covariance L Lᵀ, shape (n, n),
             [1/(N·m)].
-        scale: Size of each unknown, in which its column is counted, shape (b,).
+        scale: Unit in which each unknown is counted, shape (b,).
     """
 
     chain: Chain
@@ -64,7 +63,7 @@ class Observation:
 
     @cached_property
     def gains(self) -> tuple[tuple[int, int], ...]:
-        """Effect and gain of each column behind the 10n inertial ones."""
+        """Effect and gain of each column after the 10n inertial ones."""
         return effect_gains(self.effects)
 
     def matrix(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
@@ -72,7 +71,8 @@ class Observation:
 
         Args:
             path: Motion, N samples.
-            turning_speed: Speed within which dry friction turns, [rad/s]; 0 for a step.
+            turning_speed: Speed within which dry friction is smoothed, [rad/s]; 0 for a
+                step.
         """
         rigid, gains = self._kept
         Y = np.empty((len(path.t), self.chain.size, self.size))
@@ -117,9 +117,9 @@ class Observation:
         """Append the columns of effects that the fit leaves out.
 
         Args:
-            effects: Effects that the arm may have; a gain that the columns can express
-                is left out.
-            sizes: Usual size of each of their gains, in which it is counted.
+            effects: Effects that the arm may have; gains whose columns depend on the
+                present ones are left out.
+            sizes: Unit in which each of their gains is counted.
         """
         every = (*self.effects, *effects)
         base = stacked_base(self.chain, every, effect_gains(every))
@@ -131,7 +131,7 @@ class Observation:
 
     @cached_property
     def _kept(self) -> tuple[list[int], list[int]]:
-        """Columns among the inertial ones, and among the gains."""
+        """Indices of the kept inertial columns, and of the kept gains."""
         n = 10 * self.chain.size
         kept = self.base.kept
         return [k for k in kept if k < n], [k - n for k in kept if k >= n]
@@ -178,8 +178,7 @@ def observe(
 
     Args:
         chain: The arm.
-        effects: Effects whose gains are to be identified beside the rigid body: laws of
-            one joint's state.
+        effects: Effects whose gains are unknown as well; laws of one joint's state.
         covariance: Covariance of the torque noise between joints, shape (n, n),
             [N²·m²]; by default the unit matrix.
 
@@ -206,11 +205,11 @@ def observe(
 
 
 def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
-    """Choices of columns among the 10n of the regressor, by name.
+    """Choices of base columns among the 10n of the regressor, by name.
 
-    ``first independent columns`` goes from the base to the tip and keeps what the
-    columns before cannot express, the same for every motion. ``columns by pivoted QR``
-    takes the largest that remains each time.
+    ``first independent columns`` goes from base to tip and keeps each column that does
+    not depend on those before, the same for every motion. ``columns by pivoted QR``
+    always takes the largest remaining one.
 
     Args:
         chain: The arm.
@@ -222,12 +221,7 @@ def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
 
 
 def rigid_conditions(chain: Chain, path: Path) -> dict[str, float]:
-    """Condition number of a motion in each of the named columns, SI units.
-
-    Args:
-        chain: The arm.
-        path: Motion, N samples.
-    """
+    """Condition number of a motion for each choice of base columns, in SI units."""
     H = regressor(chain, path.q, path.v, path.a).reshape(-1, 10 * chain.size)
     named = rigid_columns(chain, H).items()
     return {name: float(np.linalg.cond(H[:, list(at)])) for name, at in named}

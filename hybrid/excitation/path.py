@@ -49,7 +49,7 @@ class Path:
 class Family(Protocol):
     """Motions of one joint that are linear in m coefficients.
 
-    They begin and end at rest: with zero speed and zero acceleration.
+    They begin and end with zero speed and zero acceleration.
     """
 
     @property
@@ -69,11 +69,11 @@ class Family(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A motion of n joints out of a family.
+    """A motion of n joints from a family.
 
     Attributes:
-        family: Basis functions, the same for each joint.
-        coefficients: Their weights, shape (m, n), [rad].
+        family: Basis functions of each joint.
+        coefficients: Coefficients of the basis functions, shape (m, n), [rad].
     """
 
     family: Family
@@ -93,7 +93,7 @@ class Trajectory:
         return Grid(self.family, t).path(self.coefficients)
 
     def reference(self, rate: float) -> Reference:
-        """The motion to run, at a number of samples per second [Hz]."""
+        """The motion as a reference, at a number of samples per second [Hz]."""
         if not (np.isfinite(rate) and rate * self.family.duration >= 2):
             raise ExcitationError(f"rate is {rate:g} Hz, two samples or more are valid")
         t = uniform(self.family.duration, rate)
@@ -120,7 +120,7 @@ class Grid:
 
     @cached_property
     def bases(self) -> Array:
-        """Of position, speed, acceleration and jerk, shape (4, N, m)."""
+        """Basis of position, speed, acceleration and jerk, shape (4, N, m)."""
         return np.stack([self.family.basis(self.t, k) for k in range(DERIVATIVES)])
 
     def path(self, coefficients: Array) -> Path:
@@ -131,14 +131,14 @@ class Grid:
         """Derivatives by the coefficients, shape (m, n), from those by the samples.
 
         Args:
-            by: Derivatives by q, v, a and jerk as far as needed, shape (N, n) each.
+            by: Derivatives by q, v, a and jerk, or the first of them, shape (N, n).
         """
         pairs = zip(self.bases, by, strict=False)
         return np.asarray(sum(basis.T @ x for basis, x in pairs))
 
 
 def quintic(t: Array, q: Array, v: Array, a: Array) -> BPoly:
-    """Polynomials of fifth order that join states at K times, in Bernstein form.
+    """Polynomials of degree five through states at K times, in Bernstein form.
 
     Args:
         t: Times, rising, shape (K,), [s].
@@ -148,10 +148,10 @@ def quintic(t: Array, q: Array, v: Array, a: Array) -> BPoly:
     """
     h = np.diff(t).reshape(-1, *[1] * (q.ndim - 1))
     first, last = h * v[:-1] / 5, h * v[1:] / 5
-    bend, end = h**2 * a[:-1] / 20, h**2 * a[1:] / 20
+    begin, end = h**2 * a[:-1] / 20, h**2 * a[1:] / 20
     return BPoly(
         np.stack([
-            q[:-1], q[:-1] + first, q[:-1] + 2 * first + bend,
+            q[:-1], q[:-1] + first, q[:-1] + 2 * first + begin,
             q[1:] - 2 * last + end, q[1:] - last, q[1:],
         ]),
         t,

@@ -1,4 +1,4 @@
-"""The optimisation problem of one or several motions: criterion, limits, and grids."""
+"""The optimisation problem of one or several motions: criterion, limits and grids."""
 
 from __future__ import annotations
 
@@ -16,35 +16,34 @@ from hybrid.excitation.criteria import Criterion
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Family, Grid, Path, Trajectory, uniform
 
-FINER = 10  # times as fine as the design grid is the one on which limits are verified
-_NEAR = 0.5  # conditions within this part of their limit enter a step
-_CLOSE = 0.1  # ... and within this one with the samples beside them
-_NEARLY, _SHRINKS = 0.1, 8  # a start may exceed a limit by so much, or is made smaller
+FINER = 10  # rate of the grid on which limits are verified, over that of the design
+_ACTIVE = 0.5  # conditions this close to their limit enter a step
+_ACTIVE_NEIGHBOUR = 0.1  # ... and this close, with the samples beside them
+_MOST_START_EXCESS = 0.1  # a random start with a larger excess is made smaller
+_SHRINKS = 8
 _POSTURES = 300
-_USAGE = 20  # random motions that stand for all
-_REMEMBERED = 16  # motions
+_USAGE = 20  # random motions as examples of future ones
+_CACHE_SIZE = 16  # motions
 
 
 @dataclass(frozen=True, eq=False)
 class MotionProgram:
-    """Best motions of a family in scaled coordinates, shape (T·m·n,).
+    """The optimisation of T motions of a family in scaled coordinates, shape (T·m·n,).
 
-    Coordinates are multiples of what fills a limit by itself, so that a step of 0.1 is
-    a small one whatever the joint and the harmonic. Motions that are chosen together
-    share the work: their common information may be better than any order of single
-    choices reaches.
+    The unit of a coordinate is the coefficient that reaches a limit alone, so that a
+    step of 0.1 is small for every joint and basis function.
 
     Attributes:
-        observation: What is to be identified.
-        criterion: What makes a motion good.
-        family: Motions to choose from.
-        constraints: What each sample has to keep.
+        observation: The unknowns.
+        criterion: The optimality criterion.
+        family: Family of motions.
+        constraints: Conditions on each sample.
         limits: Limits of the joints, for the scale of the coordinates.
-        known: Information of motions that will be run besides, shape (b, b).
+        known: Information of motions chosen before, shape (b, b).
         rate: Samples of the design grid per second, [Hz].
         power: Sharpness of the criterion; see :class:`Criterion`.
-        margin: Part of every limit that is kept free.
-        count: Number of motions T that are chosen together.
+        margin: Share of every limit that is kept free.
+        count: Number of motions T that are optimised together.
     """
 
     observation: Observation
@@ -70,12 +69,12 @@ class MotionProgram:
 
     @property
     def middle(self) -> Array:
-        """Coefficients of the arm standing in the middle of its range, (m, n)."""
+        """Coefficients of standstill in the middle of the range, shape (m, n)."""
         return np.outer(self.constant, self.limits.middle)
 
     @cached_property
     def scale(self) -> Array:
-        """Coefficients that each reach a limit alone, shape (m, n)."""
+        """Size of each coefficient that alone reaches a limit, shape (m, n)."""
         reach = np.abs(self.fine.bases).max(axis=1)[:, :, None]  # (4, m, 1)
         sizes = self.limits.sizes[:, None]
         return np.asarray((sizes / np.maximum(reach, 1e-9)).min(axis=0))
@@ -99,9 +98,9 @@ class MotionProgram:
         )
 
     def random(self, rng: np.random.Generator, *, fill: float = 0.8) -> Array:
-        """Random motions about random postures, to start from, shape (T·m·n,).
+        """Random motions about random postures as a start, shape (T·m·n,).
 
-        They fill a part of the joints' own limits, less where others are tighter.
+        They fill a share of the joint limits, or less if other limits are tighter.
         """
         return np.concatenate([self._random(rng, fill) for _ in range(self.count)])
 
@@ -113,17 +112,17 @@ class MotionProgram:
         center = self._posture(rng)
         for factor in 0.7 ** np.arange(_SHRINKS):
             start = (center + factor * x).ravel()
-            if self._excess(start) < _NEARLY:
+            if self._excess(start) < _MOST_START_EXCESS:
                 break
         return np.asarray(start)
 
     def usage(self, rng: np.random.Generator) -> list[Path]:
-        """Random motions within the limits, as the arm may run them in use."""
+        """Random motions within the limits, as examples of future motions."""
         points = [self._random(child, 1.0) for child in rng.spawn(_USAGE)]
         return [self.grid.path(self.coefficients(x)) for x in points]
 
     def _posture(self, rng: np.random.Generator) -> Array:
-        """The arm standing still where nothing is in the way, (m, n)."""
+        """Coordinates of standstill in a posture without collisions, shape (m, n)."""
         if all(constraint.is_linear for constraint in self.constraints):
             return np.zeros_like(self.scale)
         still = self._postures(rng, _POSTURES)
@@ -133,7 +132,7 @@ class MotionProgram:
         return np.asarray(self.constant[:, None] * shift / self.scale)
 
     def _postures(self, rng: np.random.Generator, count: int) -> Path:
-        """The arm at rest, in postures within the middle half of its range."""
+        """The arm at rest in random postures within the middle half of its range."""
         low, high = self.limits.low, self.limits.high
         q = low + (high - low) * rng.uniform(0.25, 0.75, (count, len(low)))
         rest = np.zeros_like(q)
@@ -141,12 +140,12 @@ class MotionProgram:
 
     @cached_property
     def constant(self) -> Array:
-        """Coefficients of a joint standing at 1 rad, shape (m,)."""
+        """Coefficients of a joint at rest at 1 rad, shape (m,)."""
         one = np.ones(len(self.grid.t))
         return np.asarray(np.linalg.lstsq(self.grid.bases[0], one, rcond=None)[0])
 
     def information(self, x: Array) -> Array:
-        """Information of the motions and of those known, shape (b, b)."""
+        """Information of the motions and of those chosen before, shape (b, b)."""
         paths = [self.grid.path(self.coefficients(y)) for y in self.parts(x)]
         return np.asarray(self.known + sum(map(self.observation.gram, paths)))
 
@@ -170,7 +169,7 @@ class MotionProgram:
         return np.concatenate(values), block_diag(*slopes)
 
     def _conditions(self, x: Array) -> tuple[Array, Array]:
-        """Those of one motion, shapes (M,) and (M, m·n)."""
+        """Conditions of one motion, shapes (M,) and (M, m·n)."""
         values, slopes = [np.zeros(0)], [np.zeros((0, x.size))]
         for constraint, (path, found) in zip(
             self.constraints, self._excesses(x), strict=True
@@ -179,12 +178,12 @@ class MotionProgram:
             excess = found + self.margin
             peaks = _peaks(excess)
             if not constraint.is_linear:
-                # A step may move a sharp peak to the next sample of a coarse grid.
-                beside = np.zeros_like(peaks)
-                beside[1:] = peaks[:-1]
-                beside[:-1] |= peaks[1:]
-                peaks |= beside & (excess > -_CLOSE)
-            sample, which = np.nonzero(peaks & (excess > -_NEAR))
+                # A step may move a sharp peak to the next sample of the coarse grid.
+                neighbour = np.zeros_like(peaks)
+                neighbour[1:] = peaks[:-1]
+                neighbour[:-1] |= peaks[1:]
+                peaks |= neighbour & (excess > -_ACTIVE_NEIGHBOUR)
+            sample, which = np.nonzero(peaks & (excess > -_ACTIVE))
             slope = constraint.slope(path.at(sample), which)  # (M, 4, n)
             by = np.einsum("kMm,Mkj->Mmj", grid.bases[:, sample], slope)
             values.append(excess[sample, which])
@@ -200,30 +199,30 @@ class MotionProgram:
         return float(max(every, default=-np.inf)) + self.margin
 
     def _excesses(self, x: Array) -> list[tuple[Path, Array]]:
-        """One motion, and the excess of each constraint in each of its samples.
+        """Samples of one motion, and the excess of each constraint in each of them.
 
-        A solver asks for the largest excess of a step, and if it takes the step for
-        the slopes: the last points are remembered.
+        They are cached, because the solver needs them for the excess of a step and
+        again for its slopes.
         """
         key = x.tobytes()
-        if key not in self._memory:
-            if len(self._memory) >= _REMEMBERED:
-                self._memory.clear()
+        if key not in self._cache:
+            if len(self._cache) >= _CACHE_SIZE:
+                self._cache.clear()
             coefficients = self.coefficients(x)
             grids = [self.fine if c.is_linear else self.grid for c in self.constraints]
             paths = [grid.path(coefficients) for grid in grids]
-            self._memory[key] = [
+            self._cache[key] = [
                 (path, constraint.excess(path))
                 for constraint, path in zip(self.constraints, paths, strict=True)
             ]
-        return self._memory[key]
+        return self._cache[key]
 
     @cached_property
-    def _memory(self) -> dict[bytes, list[tuple[Path, Array]]]:
+    def _cache(self) -> dict[bytes, list[tuple[Path, Array]]]:
         return {}
 
     def impossible(self) -> tuple[str, ...]:
-        """Conditions that none of some hundred random postures satisfies."""
+        """Names of conditions that no random posture satisfies."""
         still = self._postures(np.random.default_rng(0), _POSTURES)
         found = [
             name

@@ -1,9 +1,9 @@
 """Sequential quadratic programming for smooth objectives under very many conditions.
 
-Only the conditions near their limit enter each quadratic program, which is why limits
-may be given on fine grids. Source: Fletcher 1985, doi 10.1007/978-3-642-82118-9, and
-Nocedal and Wright 2006, doi 10.1007/978-0-387-40065-5, chapter 18 (trust region with
-an ℓ∞ penalty, damped BFGS).
+Only the conditions near their limit enter each quadratic program, so limits can be
+checked on fine grids. Source: Fletcher 1985, doi 10.1007/978-3-642-82118-9, and Nocedal
+and Wright 2006, doi 10.1007/978-0-387-40065-5, chapter 18 (trust region with an ℓ∞
+penalty, damped BFGS).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ENOUGH = 1e-6  # predicted decrease at which to stop
 
 
 class ConstrainedProblem(Protocol):
-    """What is to be minimised, and under which conditions."""
+    """An objective to minimise under conditions."""
 
     def objective(self, x: Array) -> tuple[float, Array]:
         """Value, and gradient of shape (d,)."""
@@ -30,20 +30,20 @@ class ConstrainedProblem(Protocol):
         """Conditions near their limit: excess, shape (M,), and slope, shape (M, d)."""
 
     def excess(self, x: Array) -> float:
-        """Largest excess of all conditions; kept where not above zero."""
+        """Largest excess of all conditions; feasible if not above zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Where a minimisation ended.
+    """The result of a minimisation.
 
     Attributes:
         x: Best point, shape (d,).
-        value: Objective there.
-        excess: Largest excess there.
+        value: Objective at ``x``.
+        excess: Largest excess at ``x``.
         curvature: Approximate Hessian, shape (d, d).
-        iterations: Steps that were tried.
-        converged: Whether no better step was in sight.
+        iterations: Number of steps tried.
+        converged: Whether no step promised a decrease.
     """
 
     x: Array
@@ -62,14 +62,14 @@ def solve(
     curvature: Array | None = None,
     penalty: float = PENALTY,
 ) -> Optimum:
-    """Minimise from a start, which need not keep the conditions.
+    """Minimise from a start, which may violate the conditions.
 
     Args:
         program: Objective and conditions; coordinates of order 1.
         x: Start, shape (d,).
-        iterations: Most steps to try.
-        curvature: Hessian to begin with, e.g. of a similar program, shape (d, d).
-        penalty: Price of the largest excess.
+        iterations: Largest number of steps.
+        curvature: Initial Hessian, e.g. of a similar program, shape (d, d).
+        penalty: Weight of the largest excess.
     """
     reach = _FIRST_REACH
     B = np.eye(len(x)) if curvature is None else curvature
@@ -141,7 +141,7 @@ def quadratic_program(
         settings,
     ).solve()
     step = np.array(solution.x)[:d]
-    # A solver that stopped early may leave the box by a rounding.
+    # A solver that stopped early may leave the box by a rounding error.
     return np.clip(np.where(np.isfinite(step), step, 0.0), -reach, reach)
 
 

@@ -1,4 +1,4 @@
-"""Many arms, many periods, on Dask."""
+"""Monitoring of many arms over many periods, on Dask."""
 
 from hybrid.fleets.fleet import Fleet, fleet
 from hybrid.fleets.plan import Plan, read_plan

@@ -1,9 +1,9 @@
-"""When a parameter of one arm changed, with a stated rate of false alarms.
+"""Detection of changes of one parameter of one arm, at a stated false-alarm rate.
 
-The statistic is the generalised likelihood ratio of a step or a ramp that began in any
-period against a constant, on what is known up to each period (Siegmund and Venkatraman
-1995, doi 10.1214/aos/1176324466): the largest squared score of the shape's size. The
-threshold is what noise alone passes as seldom as is asked, found by simulation.
+The statistic is the generalised likelihood ratio of a step or ramp against a constant,
+on all data up to each period (Siegmund and Venkatraman 1995, doi
+10.1214/aos/1176324466): the largest squared score of the size of a step or ramp. The
+threshold for the stated rate is found by simulation of noise.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from hybrid.arrays import Array
 Kind = Literal["step", "trend"]
 
 MONTH = 30.4375  # d
-_BEFORE, _AFTER = 3, 2  # periods on either side of a step
-_LEAST = _BEFORE + _AFTER
+_BEFORE, _AFTER = 3, 2  # fewest periods before and after a step
+_FEWEST = _BEFORE + _AFTER
 _LOOK_BACK = 52  # periods
-_PATHS = 20_000  # of noise, which the threshold is found from
-_SOLID = 0.01  # share of them down to which quantiles are read off
-_WITHIN = 3.84  # of twice the log likelihood: dates within 95 %
+_NOISE_PATHS = 20_000  # simulated for the threshold
+_TAIL = 0.01  # probability below which quantiles are extrapolated
+_LIKELIHOOD_RANGE = 3.84  # of twice the log likelihood, for a 95 % interval
 _DRAWS = 2000
 
 
@@ -38,12 +38,12 @@ class Change:
 
     Attributes:
         kind: ``step``, or ``trend``: a ramp that began on ``day``.
-        day: When it happened or began, [d] on the clock of the series.
-        earliest: Lower end of the 95 % interval of that.
-        latest: Upper end.
-        alarm: When it was known, [d].
+        day: Time of the step or beginning of the ramp, [d] on the clock of the series.
+        earliest: Lower end of the 95 % interval of ``day``.
+        latest: Upper end of the 95 % interval of ``day``.
+        alarm: Time of the detection, [d].
         size: Of a step, in the unit; of a trend, its slope in the unit per day.
-        std: Standard deviation of that.
+        std: Standard deviation of the size.
         score: Size over its standard deviation.
     """
 
@@ -59,14 +59,14 @@ class Change:
 
 @dataclass(frozen=True)
 class Level:
-    """Where a parameter stands in its last period.
+    """The value of a parameter in its last period.
 
     Attributes:
         value: Deviation from the baseline.
-        std: Its standard deviation.
+        std: Standard deviation of the value.
         slope: Trend since the last change, per day.
-        slope_std: Its standard deviation.
-        covariance: Of value and slope.
+        slope_std: Standard deviation of the slope.
+        covariance: Covariance of value and slope.
     """
 
     value: float
@@ -77,7 +77,7 @@ class Level:
 
 
 def _shapes(t: Array) -> tuple[Array, NDArray[np.intp], int]:
-    """Steps, then ramps, shape (N, shapes); the period each begins in; the steps."""
+    """Steps, then ramps, shape (N, shapes); their first periods; number of steps."""
     n = len(t)
     steps = np.arange(_BEFORE, n - _AFTER + 1)
     ramps = np.arange(0, n - _AFTER)
@@ -88,14 +88,14 @@ def _shapes(t: Array) -> tuple[Array, NDArray[np.intp], int]:
     return H, np.concatenate([steps, ramps]), len(steps)
 
 
-def _scored(t: Array, y: Array, s: Array, x: Array | None) -> tuple[Array, Array]:
-    """Size over standard deviation of every shape, and that deviation.
+def _scores(t: Array, y: Array, s: Array, x: Array | None) -> tuple[Array, Array]:
+    """Score of every step and ramp, and the standard deviation of its size.
 
     Args:
         t: Time, shape (N,).
         y: Values, shape (N,) or (N, series).
-        s: Their standard deviations, shape (N,).
-        x: What they may depend on linearly, shape (N,), or None.
+        s: Standard deviations of the values, shape (N,).
+        x: Covariate on which the values may depend linearly, shape (N,), or None.
     """
     H, _, _ = _shapes(t)
     known = [np.ones(len(t))] if x is None else [np.ones(len(t)), x - x.mean()]
@@ -104,35 +104,35 @@ def _scored(t: Array, y: Array, s: Array, x: Array | None) -> tuple[Array, Array
     own = np.linalg.norm(H, axis=0)
     H = H - Q @ (Q.T @ H)
     size = np.linalg.norm(H, axis=0)
-    size = np.where(size > 1e-6 * own, size, np.inf)  # what x explains tells nothing
+    size = np.where(size > 1e-6 * own, size, np.inf)  # collinear with x: no score
     weighted = y / (s if y.ndim == 1 else s[:, None])
     return (H.T @ weighted) / (size if y.ndim == 1 else size[:, None]), 1.0 / size
 
 
 def threshold(count: int, days: float, series: int, false_alarms: float) -> float:
-    """Score above which is an alarm.
+    """Score above which an alarm is raised.
 
     Args:
         count: Number of periods.
         days: Length of a period, [d].
-        series: Parameters that are watched at each arm.
-        false_alarms: Alarms that noise may raise in 100 arm-months.
+        series: Number of parameters monitored at each arm.
+        false_alarms: Expected false alarms in 100 arm-months.
     """
-    count = int(np.clip(count, _LEAST, _LOOK_BACK))
+    count = int(np.clip(count, _FEWEST, _LOOK_BACK))
     rate = min(0.5, false_alarms / 100 * count * days / MONTH / series)
-    highest = _highest(count)
-    solid = np.quantile(highest, 1 - max(rate, _SOLID))
-    excess = highest[highest > solid].mean() - solid  # the tail is exponential
-    return float(np.sqrt(solid + excess * np.log(max(rate, _SOLID) / rate)))
+    highest = _largest_scores(count)
+    quantile = np.quantile(highest, 1 - max(rate, _TAIL))
+    excess = highest[highest > quantile].mean() - quantile  # the tail is exponential
+    return float(np.sqrt(quantile + excess * np.log(max(rate, _TAIL) / rate)))
 
 
 @lru_cache(maxsize=8)
-def _highest(count: int) -> Array:
-    """Largest squared score that is ever reached, of paths of normal noise."""
-    noise = np.random.default_rng(0).standard_normal((count, _PATHS))
-    t, highest = np.arange(count, dtype=float), np.zeros(_PATHS)
-    for n in range(_LEAST, count + 1):
-        z, _ = _scored(t[:n], noise[:n], np.ones(n), None)
+def _largest_scores(count: int) -> Array:
+    """Largest squared score of each simulated path of normal noise."""
+    noise = np.random.default_rng(0).standard_normal((count, _NOISE_PATHS))
+    t, highest = np.arange(count, dtype=float), np.zeros(_NOISE_PATHS)
+    for n in range(_FEWEST, count + 1):
+        z, _ = _scores(t[:n], noise[:n], np.ones(n), None)
         np.maximum(highest, (z**2).max(axis=0), out=highest)
     return highest
 
@@ -151,19 +151,19 @@ def changes(
     Args:
         t: Days of the periods, shape (N,), [d].
         y: Values, shape (N,).
-        s: Their standard deviations, shape (N,).
+        s: Standard deviations of the values, shape (N,).
         limit: Score of an alarm, see :func:`threshold`.
         degrees: Degrees of freedom of the standard deviations.
-        x: What the values may depend on, shape (N,), or None.
+        x: Covariate on which the values may depend, shape (N,), or None.
     """
-    # Of scores whose variance was estimated, what is as seldom.
+    # The limit of the same probability for scores with an estimated variance.
     limit = float(student.isf(norm.sf(limit), max(degrees, 1.0)))
     start = 0
     while True:
         alarm = _first_alarm(t, y, s, limit, x, start)
         if alarm is None:
             return
-        # All data say best what it was, unless it has gone again since.
+        # All data describe the change best, unless it has been reversed since.
         found = max(
             (
                 _change(
@@ -181,13 +181,13 @@ def changes(
 
 
 def _change(t: Array, y: Array, s: Array, x: Array | None, alarm: float) -> Change:
-    """The shape of a change that was known on a day."""
-    z, std = _scored(t, y, s, x)
+    """The step or ramp of largest score that began before an alarm."""
+    z, std = _scores(t, y, s, x)
     _, begins, steps = _shapes(t)
     z = np.where(t[begins] <= alarm, z, 0.0)
     best = int(np.argmax(np.abs(z)))
-    alike = (np.arange(len(z)) < steps) == (best < steps)
-    near = t[begins[alike & (z**2 >= z[best] ** 2 - _WITHIN)]]
+    same_kind = (np.arange(len(z)) < steps) == (best < steps)
+    near = t[begins[same_kind & (z**2 >= z[best] ** 2 - _LIKELIHOOD_RANGE)]]
     size = z[best] * std[best], std[best], z[best]
     days = t[begins[best]], near.min(), near.max(), alarm
     return Change("step" if best < steps else "trend", *map(float, (*days, *size)))
@@ -201,16 +201,16 @@ def _first_alarm(
     x: Array | None,
     start: int,
 ) -> int | None:
-    for n in range(start + _LEAST, len(t) + 1):
+    for n in range(start + _FEWEST, len(t) + 1):
         here = slice(max(start, n - _LOOK_BACK), n)
-        z, _ = _scored(t[here], y[here], s[here], None if x is None else x[here])
+        z, _ = _scores(t[here], y[here], s[here], None if x is None else x[here])
         if np.abs(z).max() > limit:
             return n - 1
     return None
 
 
 def level(t: Array, y: Array, s: Array, last: Change | None) -> Level:
-    """Where a series stands: constant, or on a trend where one was found."""
+    """The last value of a series: of a constant, or of a trend after such a change."""
     here = t >= (last.day if last else -np.inf)
     t, y, s = t[here] - t[-1], y[here], s[here]
     X = np.stack([np.ones(len(t)), t], axis=1) / s[:, None]
@@ -225,12 +225,7 @@ def level(t: Array, y: Array, s: Array, last: Change | None) -> Level:
 
 
 def crossing(now: Level, limit: float) -> tuple[float, float, float]:
-    """Days until a parameter passes a limit: median and 95 % interval; inf if never.
-
-    Args:
-        now: Where it stands.
-        limit: Largest change to either side.
-    """
+    """Days until a parameter passes a limit: median and 95 % interval; inf if never."""
     covariance = [[now.std**2, now.covariance], [now.covariance, now.slope_std**2]]
     value, slope = (
         np.random.default_rng(0)

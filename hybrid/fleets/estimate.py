@@ -1,10 +1,10 @@
-"""How far the parameters of an arm lie from its baseline in one period.
+"""Deviations of an arm's parameters from its baseline in one period.
 
 ``τ − τ_baseline = Y·δ + C·g + noise``: Y are the columns of the base inertial
-parameters, with δ ~ N(0, covariance of the baseline), C those of the effects that are
-followed, with g as uncertain as their usual size. The posterior of g is one regularised
-least squares. Residuals are correlated in time: a joint's samples weigh as many
-independent ones as :func:`hybrid.signals.autocorrelation_time` says.
+parameters, with δ ~ N(0, covariance of the baseline). C are the columns of the tracked
+effects, whose gains g have their usual size as standard deviation. The posterior of g
+is a regularised least squares. Residuals are correlated in time: the number of samples
+that count as one independent sample is their autocorrelation time.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from hybrid.effects.payload import LinkInertia, Payload
 from hybrid.effects.registry import effect_class
 from hybrid.errors import HybridError
 from hybrid.identification.data import Data
-from hybrid.identification.preparation import prepare, taken
+from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
 from hybrid.signals import Motion, Sampler, autocorrelation_time
 
-_FROM_TOOL = 0.05  # m, that a payload is off the tool, and its size
-_DRAWS = 400  # of its centre
-_UNSURE = 0.05  # relative: of inertial parameters whose covariance is not known
-# Effects whose gains are found, with the names of those that are followed.
+_FROM_TOOL = 0.05  # m, distance of a payload's centre from the tool, and its size
+_DRAWS = 400  # of the payload's centre
+_RELATIVE_STD = 0.05  # of inertial parameters, if the baseline has no covariance
+# Effects whose gains are estimated, with the names of the gains that are tracked.
 Followed = Sequence[tuple[Effect, tuple[str, ...]]]
-_PASSES = 3  # of weights by residuals
+_PASSES = 3  # reweightings by the residuals
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class Deviation:
     """One parameter of one joint in one period.
 
     Attributes:
-        joint: Name of the joint; ``arm`` for what is of the whole arm.
+        joint: Name of the joint; ``arm`` for a parameter of the whole arm.
         parameter: Effect and gain, as ``coulomb.level``.
         unit: SI unit.
         change: Deviation from the baseline.
-        std: Its standard deviation within the period.
-        baseline: What the baseline says of the parameter; 0 if nothing.
-        baseline_std: Standard deviation of that.
+        std: Standard deviation of the change, within the period.
+        baseline: Value in the baseline; 0 if it has none.
+        baseline_std: Standard deviation of the value in the baseline.
     """
 
     joint: str
@@ -61,11 +61,11 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Deviations:
-    """What one period of one arm says.
+    """The deviations of one arm in one period.
 
     Attributes:
-        rows: Parameters that are followed.
-        residual: RMS torque that is left, over that of the baseline, per joint, (n,).
+        rows: The tracked parameters.
+        residual: RMS residual over that of the baseline, shape (n,).
         load: RMS torque of the rigid body, shape (n,), [N·m].
         temperature: Mean drive temperature, shape (n,), [°C]; NaN if not logged.
     """
@@ -77,7 +77,7 @@ class Deviations:
 
 
 def followed(track: Sequence[str], size: int) -> Followed:
-    """Effects whose gains are found, with the names of those that are followed.
+    """Effects whose gains are estimated, with the names of the tracked gains.
 
     Args:
         track: Effects, or gains as ``effect.gain``.
@@ -104,11 +104,11 @@ def followed(track: Sequence[str], size: int) -> Followed:
     return found
 
 
-def carrying(model: DynamicModel, payload: Sequence[float]) -> DynamicModel:
-    """The baseline of an arm that was told of a payload.
+def with_payload(model: DynamicModel, payload: Sequence[float]) -> DynamicModel:
+    """The baseline of an arm with a known payload.
 
     Args:
-        model: The arm without it.
+        model: The arm without the payload.
         payload: Up to ten parameters: mass [kg], first moments [kg·m], inertia [kg·m²]
             about the last joint's frame.
     """
@@ -128,18 +128,18 @@ def deviations(
     Args:
         model: The baseline.
         recordings: Logs of one period.
-        track: What is followed, see :func:`followed`.
-        tool: Where a payload is held, in the last joint's frame, [m]; the centre of
-            mass of the last link if not given.
+        track: Tracked effects or gains, see :func:`followed`.
+        tool: Position of a payload in the last joint's frame, [m]; the centre of mass
+            of the last link by default.
 
     Raises:
-        HybridError: A log cannot be what its columns say, or says too little.
+        HybridError: A log contradicts physics, or is too short.
     """
     robot, effects = model.robot, followed(track, model.robot.size)
-    logs = taken(robot, recordings)
+    logs = checked_logs(robot, recordings)
     data = prepare(logs, model.cutoff if np.isfinite(model.cutoff) else None)
     rigid = [k for k, c in enumerate(model.base.kept) if c < 10 * robot.size]
-    parts = [_sampled(model, rigid, effects, data, m) for m in data.motions]
+    parts = [_filtered_rows(model, rigid, effects, data, m) for m in data.motions]
     theta, covariance, residual = _posterior(parts, _prior(model, rigid, effects, tool))
     warm = [m.temperature for m in data.motions if m.temperature is not None]
     load = np.concatenate([model.body(m).load for m in data.motions])
@@ -157,7 +157,8 @@ def _rows(
 ) -> Iterator[Deviation]:
     at = 0
     for effect, names in effects:
-        own = next((e for e in model.effects if _same_place(e, effect)), None)
+        place = effect.id, effect.joints
+        own = next((e for e in model.effects if (e.id, e.joints) == place), None)
         where = model.robot.joints[effect.joints[0]]
         for gain in effect.gains:
             if gain.name in names:
@@ -173,10 +174,6 @@ def _rows(
             at += 1
 
 
-def _same_place(one: Effect, other: Effect) -> bool:
-    return (one.id, one.joints) == (other.id, other.joints)
-
-
 def _prior(
     model: DynamicModel,
     rigid: Sequence[int],
@@ -185,46 +182,48 @@ def _prior(
 ) -> Array:
     """Covariance of δ and g, shape (p, p)."""
     scales, values = joint_scales(model.robot), model.base.values[list(rigid)]
-    blocks = [np.diag((_UNSURE * values) ** 2)]
+    blocks = [np.diag((_RELATIVE_STD * values) ** 2)]
     if model.covariance.size:
         blocks = [model.covariance[np.ix_(rigid, rigid)]]
     for effect, _ in effects:
         if isinstance(effect, LinkInertia):
-            blocks.append(_held(model, effect.gains[0].typical, tool))
+            blocks.append(_payload_covariance(model, effect.gains[0].typical, tool))
             continue
         sized = [g.scaled(scales[effect.joints[-1]]) for g in effect.gains]
-        spread = [g.spread or abs(g.typical) or abs(g.upper) for g in sized]
-        blocks.append(np.diag(np.square(spread)))
+        std = [g.spread or abs(g.typical) or abs(g.upper) for g in sized]
+        blocks.append(np.diag(np.square(std)))
     return np.asarray(block_diag(*blocks))
 
 
-def _held(model: DynamicModel, mass: float, tool: Sequence[float]) -> Array:
+def _payload_covariance(
+    model: DynamicModel, mass: float, tool: Sequence[float]
+) -> Array:
     """Covariance of the parameters of a body of unknown mass near the tool, (10, 10).
 
     Args:
         model: The arm.
         mass: Usual mass, [kg].
-        tool: Where it is held, in the last joint's frame, [m], or nothing.
+        tool: Position of the body in the last joint's frame, [m], or empty.
     """
     link = model.robot.chain.inertial[-1]
     center = np.array(tool) if len(tool) else link[1:4] / max(link[0], 1e-9)
     c = center + _FROM_TOOL * np.random.default_rng(0).standard_normal((_DRAWS, 3))
     x, y, z = c.T
-    own = _FROM_TOOL**2  # of a body as large as it may be off
-    inertia = [y**2 + z**2 + own, -x * y, x**2 + z**2 + own,
-               -x * z, -y * z, x**2 + y**2 + own]  # fmt: skip
+    size = _FROM_TOOL**2  # the body's own inertia per mass
+    inertia = [y**2 + z**2 + size, -x * y, x**2 + z**2 + size,
+               -x * z, -y * z, x**2 + y**2 + size]  # fmt: skip
     each = mass * np.stack([np.ones(len(c)), x, y, z, *inertia], axis=1)
     return np.asarray(each.T @ each / len(each))
 
 
-def _sampled(
+def _filtered_rows(
     model: DynamicModel,
     rigid: Sequence[int],
     effects: Followed,
     data: Data,
     motion: Motion,
 ) -> Array:
-    """Columns with the torque left last, filtered alike, (M, n, p + 1); NaN at rest."""
+    """Filtered columns, then the residual, shape (M, n, p + 1); NaN at rest."""
     n = model.robot.size
     body, expected = model.body(motion), model.predict(motion)
     kept = [model.base.kept[k] for k in rigid]
@@ -242,14 +241,14 @@ def _sampled(
 
 
 def _columns(effect: Effect, motion: Motion, body: RigidBody, expected: Array) -> Array:
-    """Columns of a change; a gain of the report scales all that the drive reports."""
+    """Columns of a change; a torque gain scales the whole predicted torque."""
     if effect.reports and effect.actuator:
         return np.asarray(expected[:, list(effect.joints)][:, :, None])
     return effect.columns(motion, body)
 
 
 def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Array]:
-    """Mean (p,), covariance (p, p), and RMS left over that of the baseline (n,)."""
+    """Mean (p,), covariance (p, p), and RMS residual over that of the baseline (n,)."""
     p, n = len(prior), parts[0].shape[1]
     scale = np.sqrt(np.diag(prior))
     scale = np.where(scale > 0, scale, 1e-12)
@@ -267,7 +266,7 @@ def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Arra
         H = precision + np.tensordot(weight, A, axes=1)
         theta = np.linalg.solve(H, weight @ b)
         left = [x[:, :, p] - x[:, :, :p] @ (scale * theta) for x in parts]
-        power, weight = _noise(np.concatenate(left))
+        power, weight = _noise_weights(np.concatenate(left))
     H = precision + np.tensordot(weight, A, axes=1)
     theta = np.linalg.solve(H, weight @ b)
     covariance = np.asarray(np.linalg.inv(H), dtype=np.float64)
@@ -275,8 +274,8 @@ def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Arra
     return np.asarray(scale * theta), covariance * scale * scale[:, None], rms
 
 
-def _noise(left: Array) -> tuple[Array, Array]:
-    """Mean square of a residual, and how much each sample tells, shape (n,).
+def _noise_weights(left: Array) -> tuple[Array, Array]:
+    """Mean square of a residual, and the weight of each sample, shape (n,) each.
 
     Args:
         left: The residual, shape (M, n); NaN at rest.

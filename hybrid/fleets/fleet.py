@@ -1,4 +1,4 @@
-"""The verb: which arms of a fleet change, when, in what, and which are unlike."""
+"""The verb ``fleet``: which arms change, when and in which parameter, and outliers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from hybrid.fleets.changes import MONTH, threshold
 from hybrid.fleets.plan import Plan, read_plan
 from hybrid.fleets.run import connected
-from hybrid.fleets.scatter import Scatter, moderated, tempered
+from hybrid.fleets.scatter import Scatter, calibrated_std, moderated
 from hybrid.fleets.series import Series, State
 from hybrid.fleets.store import Store, run_plan, write_rows
 from hybrid.fleets.worker import FINDING, OK, VERDICT
@@ -22,14 +22,14 @@ from hybrid.fleets.worker import FINDING, OK, VERDICT
 
 @dataclass(frozen=True)
 class Fleet:
-    """What became of a fleet.
+    """The result for a fleet.
 
     Attributes:
         rows: Rows of all units.
         states: Every parameter of every arm.
-        shared: What all arms did together, in words.
-        arm_months: Months of all arms together.
-        false_alarms: Alarms that noise raises in 100 arm-months.
+        shared: Changes of all arms together, in words.
+        arm_months: Sum of the monitored months of all arms.
+        false_alarms: Expected false alarms in 100 arm-months.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -40,7 +40,7 @@ class Fleet:
 
     @property
     def alarms(self) -> list[State]:
-        """Parameters that changed, the surest first."""
+        """Parameters that changed, by falling score."""
         found = [x for x in self.states if x.changes]
         return sorted(found, key=lambda x: -x.score)
 
@@ -51,7 +51,7 @@ class Fleet:
 
     @property
     def diagnoses(self) -> Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]:
-        """By arm and period: the row of the verdict, then those of the findings."""
+        """Row of the verdict, then rows of the findings, by arm and period."""
         found = defaultdict(list)
         for x in self.rows:
             if x["status"] in (VERDICT, FINDING):
@@ -71,25 +71,26 @@ def fleet(
 
     Args:
         plan: The plan, or its file.
-        out: Folder for the results of the units and ``fleet.parquet``; what is there
-            already is not done again.
+        out: Folder for the results of the units and ``fleet.parquet``; units whose
+            result is there are not computed again.
         scheduler: Address of a Dask scheduler; this machine's cores by default.
-        workers: Processes here; one per core by default.
-        progress: Told how far it is.
+        workers: Processes on this machine; one per core by default.
+        progress: Called with a message after each unit.
 
     Raises:
-        HybridError: The plan says something that is not valid, or Dask is missing.
+        HybridError: The plan is not valid, or Dask is missing.
     """
     plan = plan if isinstance(plan, Plan) else read_plan(plan)
-    out, tell = Path(out), progress or (lambda _: None)
+    out = Path(out)
     with connected(scheduler, workers or os.cpu_count() or 1) as client:
-        rows = run_plan(plan, Store(out / "units"), client, tell)
+        store = Store(out / "units")
+        rows = run_plan(plan, store, client, progress or (lambda _: None))
     write_rows(out / "fleet.parquet", rows)
     return fleet_from_rows(plan, rows)
 
 
 def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
-    """What the rows of all units say together."""
+    """The changes and outliers of a fleet from the rows of all units."""
     groups = {arm.name: arm.group for arm in plan.arms}
     limits = {arm.name: arm.limits for arm in plan.arms}
     tables: dict[str, dict[tuple[str, str], list[Mapping[str, Any]]]] = {}
@@ -109,7 +110,9 @@ def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
         own = [Series(x) for _, x in sorted(table.items())]
         for series in own:
             series.remove_common()
-        for series, s in zip(own, tempered([(x.y, x.s) for x in own]), strict=True):
+        for series, s in zip(
+            own, calibrated_std([(x.y, x.s) for x in own]), strict=True
+        ):
             series.s = s
         scatters = moderated([Scatter.of(x.y, x.s) for x in own])
         for series, scatter in zip(own, scatters, strict=True):
@@ -118,5 +121,4 @@ def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
             limit = threshold(count, plan.days, len(own), plan.false_alarms)
             states += series.states(group, scatter.freedom, limit, limits)
             shared += series.shared(limit)
-    rate = plan.false_alarms
-    return Fleet(rows, tuple(states), tuple(shared), months, rate)
+    return Fleet(rows, tuple(states), tuple(shared), months, plan.false_alarms)

@@ -1,7 +1,7 @@
-"""Which arms, which logs of which period, against which baseline: the plan of a fleet.
+"""The plan of a fleet: its arms, their logs by period, and their baselines.
 
-Paths are fsspec's, so that logs may lie on a disk or in a store such as ``s3://``; the
-plan lists them and reads none.
+Paths are those of fsspec, so logs may lie on a disk or in a store such as ``s3://``.
+The plan lists the logs and reads none.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from hybrid.names import name_fault
 TRACK = ("coulomb", "viscous", "torque_gain", "torque_offset", "payload.mass")
 FIRST = "first"
 _DATE = re.compile(r"(?<!\d)(\d{4})-?(\d{2})-?(\d{2})(?!\d{2})")
-_STAMP = ("size", "mtime", "ETag", "LastModified")  # that tell two states of a file
-# By period: day, path and state of each log.
+_STAMP = ("size", "mtime", "ETag", "LastModified")  # change when a file changes
+# By period: day, path and fingerprint of each log.
 Logs = Mapping[str, list[tuple[str, str, str]]]
 _DAYS = {"day": 1.0, "week": 7.0, "month": MONTH, "log": 1.0}
 
@@ -42,12 +42,12 @@ class ArmPlan:
         logs: Folder or glob, or a mapping from dates to files.
         robot: Robot file, or a name of a library.
         baseline: ``first``, a period, or a file of a model.
-        payload: Parameters of the payload that the arm was told of, mass first.
-        tool: Where a payload is held, in the last joint's frame, [m].
+        payload: Parameters of a known payload, mass first.
+        tool: Position of a payload in the last joint's frame, [m].
         limits: Largest change of a parameter, in its unit or in ``%`` of the baseline.
-        group: Arms of one group are held against each other.
+        group: Arms of one group are compared with each other.
         joints: Joints of the arm; the longest chain of the file if empty.
-        map: How logs are read, see ``--map``.
+        map: How columns of the logs are named, see ``--map``.
     """
 
     name: str
@@ -64,15 +64,15 @@ class ArmPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is asked of a fleet.
+    """The plan of a fleet.
 
     Attributes:
-        arms: The arms, by name.
-        track: Parameters that are followed.
-        period: ``day``, ``week``, ``month`` or ``log``: what is fitted together.
-        time_limit: Of one unit, [s].
-        false_alarms: Alarms that noise may raise in 100 months of an arm.
-        diagnose: Whether each period is diagnosed as well; minutes each.
+        arms: The arms, sorted by name.
+        track: Tracked parameters.
+        period: ``day``, ``week``, ``month`` or ``log``: logs that are fitted together.
+        time_limit: Longest time for one unit, [s].
+        false_alarms: Expected false alarms in 100 months of an arm.
+        diagnose: Whether each period is diagnosed as well, which takes minutes each.
     """
 
     arms: tuple[ArmPlan, ...]
@@ -90,14 +90,14 @@ class Plan:
 
 @dataclass(frozen=True)
 class Unit:
-    """Logs in, rows out: what one worker does at a time.
+    """The work that one worker does at a time: one task on the logs of one period.
 
     Attributes:
         arm: Name of the arm.
         period: Name of the period.
         day: Date of its first log, ISO; empty if unknown.
-        logs: Path and state of each log.
-        entry: What else the result depends on.
+        logs: Path and fingerprint of each log.
+        entry: All other inputs of the result.
     """
 
     arm: str
@@ -108,20 +108,20 @@ class Unit:
 
     @cached_property
     def key(self) -> str:
-        """Hash of all that the result depends on."""
+        """Hash of all inputs of the result."""
         content = json.dumps([__version__, vars(self)], sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 
 def read_plan(path: str | Path, *, robot: str | Path | None = None) -> Plan:
-    """Read a plan; a folder is one of a folder of logs for each arm.
+    """Read a plan from a file, or make one from a folder.
 
     Args:
-        path: YAML file, or folder.
-        robot: Robot of all arms, where ``path`` is a folder.
+        path: YAML file, or a folder that contains a folder of logs for each arm.
+        robot: Robot of all arms, if ``path`` is a folder.
 
     Raises:
-        HybridError: The plan says something that is not valid.
+        HybridError: The plan is not valid.
     """
     path = Path(path)
     if path.is_dir():
@@ -141,17 +141,17 @@ def read_plan(path: str | Path, *, robot: str | Path | None = None) -> Plan:
 def plan_from_dict(
     content: Any, folder: str | Path = ".", *, source: str = "plan"
 ) -> Plan:
-    """The plan that the content of a file stands for; paths start at ``folder``.
+    """The plan from the content of a file; paths are relative to ``folder``.
 
     Raises:
-        HybridError: The plan says something that is not valid.
+        HybridError: The plan is not valid.
     """
     own = set(Plan.__dataclass_fields__) - {"arms"}
     common = set(ArmPlan.__dataclass_fields__) - {"name", "logs"}
     _check_keys(content, own | common | {"arms"}, source)
     arms, base = content.get("arms"), {k: content[k] for k in common & set(content)}
     if isinstance(arms, str):
-        arms = {Path(x).name: {"logs": x} for x in _folders(_located(arms, folder))}
+        arms = {Path(x).name: {"logs": x} for x in _folders(_resolved(arms, folder))}
     if not isinstance(arms, Mapping) or not arms:
         raise HybridError(f"{source}: arms is {arms!r}; valid is a folder, or a table")
     found = []
@@ -203,9 +203,9 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
     return ArmPlan(
         name,
         entry["logs"] if isinstance(entry["logs"], Mapping)
-        else _located(str(entry["logs"]), folder),
-        _located(robot, folder) if "." in robot else robot,
-        _located(baseline, folder) if is_file else baseline,
+        else _resolved(str(entry["logs"]), folder),
+        _resolved(robot, folder) if "." in robot else robot,
+        _resolved(baseline, folder) if is_file else baseline,
         numbers,
         tool,
         limits,
@@ -225,8 +225,8 @@ def _check_keys(content: Any, valid: set[str], where: str) -> None:
         )
 
 
-def _located(path: str, folder: str | Path) -> str:
-    """A path that starts at a folder, unless it says itself where it starts."""
+def _resolved(path: str, folder: str | Path) -> str:
+    """An absolute path or URL; a relative path starts at the folder."""
     return path if "://" in path else str(Path(folder).resolve() / path)
 
 
@@ -234,7 +234,7 @@ def _folders(path: str) -> list[str]:
     fs, root = opened(path)
     if not fs.isdir(root):
         raise HybridError(f"{path}: no such folder of arms")
-    found = [_full(fs, x) for x in fs.ls(root, detail=False) if fs.isdir(x)]
+    found = [_full_path(fs, x) for x in fs.ls(root, detail=False) if fs.isdir(x)]
     if not found:
         raise HybridError(
             f"{path}: valid is a folder with a folder of logs for each arm"
@@ -243,7 +243,7 @@ def _folders(path: str) -> list[str]:
 
 
 def periods(arm: ArmPlan, period: str) -> Logs:
-    """Day, path and state of the logs of an arm by period, in order of time.
+    """Day, path and fingerprint of the logs of an arm by period, in order of time.
 
     Raises:
         HybridError: The arm has no log, or one without a date.
@@ -264,11 +264,11 @@ def periods(arm: ArmPlan, period: str) -> Logs:
 
 
 def _logs(arm: ArmPlan) -> Iterator[tuple[str, str, str]]:
-    """Path, state and stated date of every log of an arm."""
+    """Path, fingerprint and stated date of every log of an arm."""
     if isinstance(arm.logs, Mapping):
         for day, path in arm.logs.items():
             fs, root = opened(str(path))
-            yield str(path), _state(fs, root), str(day)
+            yield str(path), _fingerprint(fs, root), str(day)
         return
     fs, root = opened(arm.logs)
     if fs.isdir(root):
@@ -277,11 +277,11 @@ def _logs(arm: ArmPlan) -> Iterator[tuple[str, str, str]]:
         inside = fs.glob(root)
     for path in inside:
         if not Path(path).name.startswith("."):
-            yield _full(fs, path), _state(fs, path), ""
+            yield _full_path(fs, path), _fingerprint(fs, path), ""
 
 
-def _state(fs: Any, path: str) -> str:
-    """What tells whether a log has changed since."""
+def _fingerprint(fs: Any, path: str) -> str:
+    """A hash that changes when the log changes."""
     if not fs.exists(path):
         raise HybridError(f"{path}: no such log")
     files = fs.find(path, detail=True) if fs.isdir(path) else {path: fs.info(path)}
@@ -290,10 +290,10 @@ def _state(fs: Any, path: str) -> str:
 
 
 def opened(path: str) -> tuple[Any, str]:
-    """The file system of a path, and the path there.
+    """The fsspec file system of a path, and the path in it.
 
     Raises:
-        HybridError: fsspec, or what it needs for the path, is not installed.
+        HybridError: fsspec, or a package it needs for the path, is not installed.
     """
     check_extra("fsspec", "fleet", "A fleet")
     from fsspec.core import url_to_fs
@@ -304,13 +304,13 @@ def opened(path: str) -> tuple[Any, str]:
         raise HybridError(f"{path}: cannot be reached ({error})") from error
 
 
-def _full(fs: Any, path: str) -> str:
+def _full_path(fs: Any, path: str) -> str:
     local = "file" in (fs.protocol if isinstance(fs.protocol, tuple) else [fs.protocol])
     return path if local else str(fs.unstrip_protocol(path))
 
 
 def _day(text: str) -> date | None:
-    """The last date that a path names."""
+    """The last date in a path."""
     for year, month, day in reversed(_DATE.findall(text)):
         try:
             return date(int(year), int(month), int(day))

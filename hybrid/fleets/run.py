@@ -1,8 +1,8 @@
-"""Messages to workers on Dask, and answers as they come.
+"""Distribution of units to Dask workers.
 
-Workers get the location of files and give back a few rows; only the process that
-started the fleet writes. Few units are with the scheduler at any time, so that its
-memory does not grow with the fleet.
+Workers receive paths of files and return a few rows; only the process that started the
+fleet writes. The scheduler has few units at any time, so its memory does not grow with
+the fleet.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from hybrid.fleets.worker import LOST, ask, end_children
 if TYPE_CHECKING:
     from distributed import Client
 
-_WAITING = 4  # units per thread that wait at the scheduler
+_QUEUED = 4  # units per thread at the scheduler
 _CONNECT = 30.0  # s
 
 
 @contextmanager
 def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
-    """A Dask client of a cluster, or of threads here that own a process each.
+    """A Dask client of a cluster, or of local threads that own a process each.
 
     Raises:
         HybridError: Dask is not installed, or no scheduler answers.
@@ -46,14 +46,14 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
                 n_workers=1,
                 threads_per_worker=workers,
                 processes=False,
-                dashboard_address="127.0.0.1:0",  # its server cannot be left out
+                dashboard_address="127.0.0.1:0",  # the server cannot be switched off
             ) as cluster,
             Client(cluster) as client,
         ):
             yield client
     except (OSError, TimeoutError, CancelledError) as error:
         if isinstance(error, OSError) and error.errno is not None:
-            raise  # a disk's
+            raise  # an error of the disk
         raise HybridError(
             f"scheduler {scheduler or 'here'}: lost ({type(error).__name__}); results "
             "up to now are stored, the same command goes on from there"
@@ -77,15 +77,12 @@ def _reached(scheduler: str) -> Client:
 def answers(
     client: Client, jobs: Iterable[tuple[Any, dict[str, Any], str | None]], limit: float
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Answers to messages, in the order in which they come.
+    """Send messages to the workers, and yield name and answer as they arrive.
 
     Args:
-        client: Of the cluster.
-        jobs: Name, message and baseline of each.
-        limit: Time that one may take, [s].
-
-    Yields:
-        Name and answer.
+        client: Client of the cluster.
+        jobs: Name, message and baseline of each job.
+        limit: Longest time for one job, [s].
     """
     from distributed import as_completed
 
@@ -96,8 +93,8 @@ def answers(
         new = []
         for name, message, model in islice(source, count):
             if model is not None and model not in models:
-                models.clear()  # jobs come arm by arm
-                # A task is done again where a worker is lost; what is scattered is not.
+                models.clear()  # jobs are sorted by arm
+                # Dask repeats a task of a lost worker, but does not scatter data again.
                 models[model] = client.submit(str, model)
             future = client.submit(
                 ask, message, models.get(model or ""), limit, pure=False, retries=2
@@ -107,7 +104,7 @@ def answers(
         return new
 
     threads = max(1, sum(client.nthreads().values()))
-    first = send(_WAITING * threads)
+    first = send(_QUEUED * threads)
     running = as_completed(first, with_results=True, raise_errors=False)
     for future, result in running:
         running.update(send(1))
@@ -115,7 +112,7 @@ def answers(
 
 
 def _answer(result: Any) -> dict[str, Any]:
-    """What a unit gave; what its workers died of is an answer, too."""
+    """The answer of a unit; an error of its worker is an answer too."""
     if isinstance(result, CancelledError):
         raise result
     if isinstance(result, tuple):

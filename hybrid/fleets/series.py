@@ -1,10 +1,10 @@
-"""The values of one parameter of the arms of a group, and what each arm did in it.
+"""One parameter of the arms of a group over time: covariates, changes, outliers.
 
-``value = level of the arm + slope · (temperature, load) + what all arms share in a
-period + change + noise``: the slopes and what is shared come from all arms together,
-by medians, so that arms with a fault do not count; the noise from differences between
-successive periods, see :mod:`hybrid.fleets.scatter`. What is left of an arm is its own,
-see :mod:`hybrid.fleets.changes`.
+``value = level of the arm + slope · (temperature, load) + common change of all arms in
+a period + own change + noise``. Slopes and common changes are medians over all arms, so
+faulty arms have no influence. The noise comes from differences between successive
+periods, see :mod:`hybrid.fleets.scatter`. Own changes are detected in the rest, see
+:mod:`hybrid.fleets.changes`.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ from hybrid.arrays import Array
 from hybrid.fleets.changes import MONTH, Change, Level, changes, crossing, level
 from hybrid.fleets.pooling import FEWEST, pooled
 
-SHARED = 5  # arms of a period that tell what all arms share
-_OF_MEDIAN = 1.2533  # times that of a mean: the standard error of a median
-_SURE = 1.96
-_CLEARLY = 4.0  # standard errors, of a load that changed along with a parameter
+SHARED = 5  # fewest arms for a common change
+_OF_MEDIAN = 1.2533  # standard error of a median over that of a mean
+_SIGNIFICANT = 1.96  # standard errors
+_LOAD_CHANGED = 4.0  # standard errors from which a change of load is named
 _COVARIATES = ("temperature", "load")
 
 
 @dataclass(frozen=True)
 class State:
-    """One parameter of one joint of one arm, over time and against the fleet.
+    """One parameter of one joint of one arm, over time and compared with the fleet.
 
     Attributes:
         arm: Name of the arm.
-        group: Arms that it is held against.
+        group: Name of the group of arms.
         joint: Name of the joint, or ``arm``.
         parameter: Effect and gain.
         unit: SI unit.
         days: Dates of the periods, as ordinals, shape (T,), [d].
-        values: Deviation from the baseline, less what temperature, load and the fleet
-            explain, shape (T,).
+        values: Deviation from the baseline, corrected for temperature, load and common
+            changes of the fleet, shape (T,).
         std: Standard deviation of the values, shape (T,).
-        baseline: What the baseline says.
+        baseline: Value in the baseline.
         changes: Changes, in order of time.
-        confounded: What changed along with it, or was not logged; empty if nothing.
-        level: Where it stands.
-        pooled: Best guess of where it stands, given the fleet, with the baseline.
-        pooled_std: Standard deviation of that.
-        unlike: Whether the arm is not like the others in it.
+        confounded: Quantities that changed at the same time, or were not logged.
+        level: The last value.
+        pooled: Last value, baseline included, shrunk towards the fleet's mean.
+        pooled_std: Standard deviation of ``pooled``.
+        unlike: Whether the arm is an outlier of its group.
         limit: Largest change that the plan allows; infinite if none.
         crossing: Days from the last period until it passes the limit: median, and
             95 % interval; infinite if never.
@@ -105,7 +105,7 @@ class Series:
         self.many = len(self.arms) >= SHARED
 
     def remove_common(self) -> None:
-        """Take away what temperature, load and the whole fleet explain."""
+        """Correct for temperature, load and common changes of the fleet."""
         self.common = np.zeros(self.y.shape[1])
         if not self.many:
             return
@@ -117,13 +117,13 @@ class Series:
         self.y = self.y - self.common
 
     def shared(self, limit: float) -> Iterator[str]:
-        """What all arms did together, in words."""
+        """Changes of all arms together, in words."""
         counts = np.isfinite(self.y).sum(axis=0)
         std = _OF_MEDIAN * np.nanmedian(self.s) / np.sqrt(np.maximum(counts, 1))
         for x in changes(self.days, self.common, std, limit=limit):
             yield (
                 f"{self.row['joint']}, {self.row['parameter']}: all arms together, "
-                f"{_said(x, self.row['unit'])}; "
+                f"{_sentence(x, self.row['unit'])}; "
                 "season, ageing and a change of the measurement are confounded"
             )
 
@@ -140,7 +140,7 @@ class Series:
             return
         slope = float(np.median(slopes))
         error = _OF_MEDIAN * median_abs_deviation(slopes, scale="normal")
-        if abs(slope) > _SURE * error / np.sqrt(len(slopes)):
+        if abs(slope) > _SIGNIFICANT * error / np.sqrt(len(slopes)):
             self.y = self.y - slope * np.nan_to_num(x)
 
     def states(
@@ -150,10 +150,10 @@ class Series:
         limit: float,
         limits: Mapping[str, Mapping[str, str | float]],
     ) -> Iterator[State]:
-        """Every arm's state.
+        """The state of every arm.
 
         Args:
-            group: Name of the arms together.
+            group: Name of the group of arms.
             freedom: Degrees of freedom of each arm's standard deviations, shape (A,).
             limit: Score of an alarm.
             limits: Largest change of each parameter, by arm.
@@ -193,7 +193,7 @@ class Series:
         return share if text.endswith("%") else float(text)
 
     def _confounded(self, k: int, own: Sequence[Change]) -> str:
-        """What the changes of an arm cannot be told from."""
+        """Other explanations of an arm's changes, in words."""
         if not own:
             return ""
         found = []
@@ -201,25 +201,25 @@ class Series:
             found.append("temperature, which is not logged")
         load = self.x["load"][k]
         seen = np.isfinite(load)
-        gaps = np.diff(load[seen])
-        noise = median_abs_deviation(gaps, scale="normal") / np.sqrt(2)
+        differences = np.diff(load[seen])
+        noise = median_abs_deviation(differences, scale="normal") / np.sqrt(2)
         for change in own:
             later = self.days >= change.day
             before, after = load[seen & ~later], load[seen & later]
             if len(before) and len(after):
                 error = noise * np.sqrt(1 / len(before) + 1 / len(after))
-                if abs(after.mean() - before.mean()) > _CLEARLY * error > 0:
+                if abs(after.mean() - before.mean()) > _LOAD_CHANGED * error > 0:
                     found.append("load")
         return ", ".join(dict.fromkeys(found))
 
 
 def _median(x: Array) -> Array:
-    """Median over arms of each period, 0 where there is none."""
+    """Median over arms in each period, 0 without values."""
     return np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0
                      for c in x.T])  # fmt: skip
 
 
-def _said(x: Change, unit: str) -> str:
+def _sentence(x: Change, unit: str) -> str:
     when = date.fromordinal(max(1, int(x.day))).isoformat()
     if x.kind == "trend":
         return f"{MONTH * x.size:+.3g} {unit} a month since {when}"

@@ -1,4 +1,4 @@
-"""Results in a folder: every unit is done once, and a rerun does what is missing."""
+"""Stored results: every unit is computed once; a rerun computes only missing ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hybrid.fleets.worker import LATE, LOST, REFUSED, VERDICT
 if TYPE_CHECKING:
     from distributed import Client
 
-Tell = Callable[[str], None]
+Progress = Callable[[str], None]
 
 _TEXT = ("arm", "period", "day", "joint", "parameter", "unit", "status", "reason")
 _NUMBERS = (
@@ -29,7 +29,7 @@ _NUMBERS = (
 SCHEMA = pa.schema(
     [(x, pa.string()) for x in _TEXT] + [(x, pa.float64()) for x in _NUMBERS]
 )
-_CANDIDATES = 4  # first periods, of which one makes the baseline
+_CANDIDATES = 4  # first periods, of which one becomes the baseline
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,13 @@ class _Baseline:
 
 
 class Store:
-    """Results of units in a folder, each a file under the hash of what it is of.
-
-    Args:
-        folder: The folder.
-    """
+    """Results of units in a folder, each a file named by the hash of its inputs."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def rows(self, key: str) -> list[dict[str, Any]] | None:
-        """Rows of a unit; None if there are none, or a torn file."""
+        """Rows of a unit; None if there is no file, or a damaged one."""
         try:
             return list(
                 pq.ParquetFile(self._path(key)).read(use_threads=False).to_pylist()
@@ -63,7 +59,7 @@ class Store:
         write_rows(self._path(key), rows)
 
     def baseline(self, key: str) -> dict[str, Any] | None:
-        """What became of a baseline; None if it is not known."""
+        """The stored result of a baseline, or None."""
         try:
             return dict(read_json(self._path(key, ".json")))
         except (OSError, ValueError):
@@ -85,22 +81,16 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def run_plan(
-    plan: Plan, store: Store, client: Client, tell: Tell
+    plan: Plan, store: Store, client: Client, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Rows of all units of a plan, sorted; what is stored already is not done again.
-
-    Args:
-        plan: The plan.
-        store: Where results are.
-        client: Of the cluster.
-        tell: Told how far it is.
+    """Rows of all units of a plan, sorted; stored units are not computed again.
 
     Raises:
-        HybridError: A log has no date, or a baseline is not there.
+        HybridError: A log has no date, or a baseline is missing.
     """
     found, todo = [], []
-    for unit, baseline in _units(plan, store, client, tell):
-        rows = store.rows(unit.key) or store.rows(_late(unit, plan).key)
+    for unit, baseline in _units(plan, store, client, progress):
+        rows = store.rows(unit.key) or store.rows(_late_unit(unit, plan).key)
         if baseline.text is None:
             rows = _failed(unit, REFUSED, baseline.reason)
         if rows is None:
@@ -109,32 +99,32 @@ def run_plan(
             found += rows
     answered = answers(client, iter(todo), plan.time_limit)
     for done, (unit, content) in enumerate(answered, 1):
-        tell(f"{done:,} of {len(todo):,} periods")
+        progress(f"{done:,} of {len(todo):,} periods")
         failed = content.get("failed", "")
         rows = (
             _failed(unit, failed, content["reason"])
             if failed
-            else _named(unit, content["rows"])
+            else _labelled(unit, content["rows"])
         )
-        if failed != LOST:  # that says nothing of the logs
-            store.put((_late(unit, plan) if failed == LATE else unit).key, rows)
+        if failed != LOST:  # a lost worker is no property of the logs
+            store.put((_late_unit(unit, plan) if failed == LATE else unit).key, rows)
         found += rows
     return sorted(found, key=lambda x: [str(x[name] or "") for name in _TEXT])
 
 
-def _late(unit: Unit, plan: Plan) -> Unit:
-    """What stands for a unit that took too long: a longer limit asks again."""
+def _late_unit(unit: Unit, plan: Plan) -> Unit:
+    """The unit under which a timeout is stored, so that a longer limit tries again."""
     return replace(unit, entry={**unit.entry, "late": plan.time_limit})
 
 
 def _failed(unit: Unit, failed: str, reason: str) -> list[dict[str, Any]]:
-    """What stands for a unit without a result; a log is refused once, not twice."""
+    """Rows of a unit without a result; a failed diagnosis is a verdict."""
     if unit.entry["task"] == "diagnosis":
         failed, reason = VERDICT, f"{failed}: {reason}"
-    return _named(unit, [{"status": failed, "reason": reason}])
+    return _labelled(unit, [{"status": failed, "reason": reason}])
 
 
-def _named(unit: Unit, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _labelled(unit: Unit, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     own = {"arm": unit.arm, "period": unit.period, "day": unit.day}
     blank = dict.fromkeys((*_TEXT, *_NUMBERS))
     return [{**blank, **row, **own} for row in rows]
@@ -146,17 +136,17 @@ def _message(unit: Unit) -> dict[str, Any]:
 
 
 def _units(
-    plan: Plan, store: Store, client: Client, tell: Tell
+    plan: Plan, store: Store, client: Client, progress: Progress
 ) -> Iterator[tuple[Unit, _Baseline]]:
-    """Units with their baseline."""
+    """All units with their baselines."""
     logs = {arm.name: periods(arm, plan.period) for arm in plan.arms}
-    known = _baselines(plan, logs, store, client, tell)
+    known = _baselines(plan, logs, store, client, progress)
     for arm in plan.arms:
-        # A baseline from the arm's own logs has its payload in it.
-        told = arm.payload if arm.baseline.endswith(".json") else ()
+        # A baseline from the arm's own logs contains its payload.
+        payload = arm.payload if arm.baseline.endswith(".json") else ()
         common = {
             "baseline": known[arm.name].key,
-            "payload": list(told),
+            "payload": list(payload),
             "map": arm.map,
         }
         tasks: list[dict[str, Any]] = [
@@ -172,14 +162,18 @@ def _units(
 
 
 def _baselines(
-    plan: Plan, logs: Mapping[str, Logs], store: Store, client: Client, tell: Tell
+    plan: Plan,
+    logs: Mapping[str, Logs],
+    store: Store,
+    client: Client,
+    progress: Progress,
 ) -> dict[str, _Baseline]:
-    """The baseline of every arm; identified where there is none."""
+    """The baseline of every arm; identified if it is no file."""
     found: dict[str, _Baseline] = {}
     todo = []
     for arm in plan.arms:
         if arm.baseline.endswith(".json"):
-            text = _text(arm.baseline)
+            text = _read_text(arm.baseline)
             key = Unit(arm.baseline, "", "", (), {"text": text}).key
             found[arm.name] = _Baseline(key, text, "")
             continue
@@ -188,24 +182,24 @@ def _baselines(
         if content is None:
             todo.append((unit, message, None))
         else:
-            found[arm.name] = _known(unit.key, content)
+            found[arm.name] = _baseline_from(unit.key, content)
     answered = answers(client, iter(todo), plan.time_limit)
     for done, (unit, content) in enumerate(answered, 1):
-        tell(f"{done:,} of {len(todo):,} baselines")
+        progress(f"{done:,} of {len(todo):,} baselines")
         if "failed" not in content:
             store.put_baseline(unit.key, content)
-        found[unit.arm] = _known(unit.key, content)
+        found[unit.arm] = _baseline_from(unit.key, content)
     return found
 
 
-def _known(key: str, content: Mapping[str, Any]) -> _Baseline:
+def _baseline_from(key: str, content: Mapping[str, Any]) -> _Baseline:
     model = content.get("model")
     text = None if model is None else json.dumps(model)
     return _Baseline(key, text, f"no baseline: {content.get('reason', '')}")
 
 
 def _baseline_unit(arm: ArmPlan, logs: Logs) -> tuple[Unit, dict[str, Any]]:
-    """Which periods may make the baseline, the best first."""
+    """Unit and message of the baseline, with its candidate periods."""
     if arm.baseline != FIRST and arm.baseline not in logs:
         raise HybridError(
             f"arm {arm.name}: baseline is {arm.baseline!r}; valid are {FIRST!r}, a "
@@ -223,7 +217,7 @@ def _baseline_unit(arm: ArmPlan, logs: Logs) -> tuple[Unit, dict[str, Any]]:
     return Unit(arm.name, arm.baseline, "", states, message), message
 
 
-def _text(path: str) -> str:
+def _read_text(path: str) -> str:
     fs, root = opened(path)
     try:
         return str(fs.read_text(root, encoding="utf-8"))

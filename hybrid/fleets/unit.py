@@ -1,8 +1,8 @@
-"""What a worker does with one unit: logs in, a few rows out.
+"""The work on one unit: it reads logs and returns a few rows.
 
-It runs in a process of its own, see :mod:`hybrid.fleets.worker`, and knows nothing of
-the fleet. What is wrong with a log is a row. The process ends when its parent closes
-the line or dies, even while it computes; what libraries print goes elsewhere.
+It runs in its own process, see :mod:`hybrid.fleets.worker`, and knows nothing of the
+fleet. An error of a log is a row. The process ends when its parent closes the pipe or
+dies, even during a computation. Output of libraries goes to stderr.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from hybrid.errors import HybridError
-from hybrid.fleets.estimate import carrying, deviations
+from hybrid.fleets.estimate import deviations, with_payload
 from hybrid.fleets.plan import opened
 from hybrid.fleets.worker import FINDING, LOST, OK, REFUSED, VERDICT
 from hybrid.identification import DynamicModel, identify
@@ -34,42 +34,42 @@ from hybrid.threads import one_thread
 
 @one_thread
 def answer(message: Mapping[str, Any]) -> dict[str, Any]:
-    """Do what a message asks: ``baseline`` gives a model, the others give rows."""
+    """Do the task of a message: ``baseline`` returns a model, the others rows."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             if message["task"] == "baseline":
                 return _baseline(message)
-            model = carrying(_model(message["model"]), message["payload"])
+            model = with_payload(_model(message["model"]), message["payload"])
             logs = _read(message["logs"], model.robot.joints, message["map"])
             task = {"period": _period, "diagnosis": _diagnosis}[message["task"]]
             return {"rows": list(task(message, model, logs))}
         except HybridError as error:
-            return {"failed": REFUSED, "reason": _line(error)}
-        except OSError as error:  # of a network or a full disk, not of the log
-            return {"failed": LOST, "reason": _line(error)}
+            return {"failed": REFUSED, "reason": _one_line(error)}
+        except OSError as error:  # the network or a full disk, not the log
+            return {"failed": LOST, "reason": _one_line(error)}
 
 
 def _baseline(message: Mapping[str, Any]) -> dict[str, Any]:
-    """The model of the first period whose logs can be used."""
+    """The model of the first period whose logs are valid."""
     reason = "no period"
-    with _local([message["robot"]]) as (path,):
+    with _local_copies([message["robot"]]) as (path,):
         robot = Robot.load(robot_file(str(path)), joints=message["joints"] or None)
     for period, logs in message["periods"]:
         try:
             found = _read(logs, robot.joints, message["map"])
-            # Friction stays linear: parameters of all arms mean the same.
+            # Friction stays linear, so that parameters of all arms are comparable.
             fit = identify(robot, found, stages=("rigid",))
             return {"period": period, "model": content_from_model(fit.model)}
         except HybridError as error:
-            reason = reason if reason != "no period" else _line(error)
+            reason = reason if reason != "no period" else _one_line(error)
     return {"period": None, "reason": reason}
 
 
 def _period(
     message: Mapping[str, Any], model: DynamicModel, logs: Sequence[Recording]
 ) -> Iterator[dict[str, Any]]:
-    """Parameters of one period of one arm."""
+    """Rows of the parameters of one arm in one period."""
     found = deviations(model, logs, message["track"], message["tool"])
     places = {joint: k for k, joint in enumerate(model.robot.joints)}
     for row in found.rows:
@@ -87,7 +87,7 @@ def _period(
 def _diagnosis(
     message: Mapping[str, Any], model: DynamicModel, logs: Sequence[Recording]
 ) -> Iterator[dict[str, Any]]:
-    """What has changed since the baseline: minutes, not milliseconds."""
+    """Rows of the verdict and the findings of a diagnosis, which takes minutes."""
     from hybrid.diagnosis.diagnose import diagnose
 
     found = diagnose(model, logs)
@@ -101,13 +101,13 @@ def _diagnosis(
 def _read(
     paths: Sequence[str], joints: tuple[str, ...], how: str | None
 ) -> list[Recording]:
-    with _local(paths) as files:
+    with _local_copies(paths) as files:
         return read_all(files, joints=joints, map=how)
 
 
 @contextmanager
-def _local(paths: Sequence[str]) -> Iterator[list[Path]]:
-    """Paths on this machine; what lies elsewhere is fetched, and removed again."""
+def _local_copies(paths: Sequence[str]) -> Iterator[list[Path]]:
+    """Local paths; remote files are copied, and removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="hybrid-fleet-") as folder:
         found = []
         for k, path in enumerate(paths):
@@ -122,7 +122,7 @@ def _local(paths: Sequence[str]) -> Iterator[list[Path]]:
         yield found
 
 
-def _line(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
@@ -135,7 +135,7 @@ def _model(text: str) -> DynamicModel:
 
 
 def main() -> None:
-    """Answer questions, a line of JSON each, until the parent is gone."""
+    """Answer questions, one line of JSON each, until the parent process ends."""
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     questions: queue.Queue[str] = queue.Queue()
@@ -152,7 +152,7 @@ def main() -> None:
         out.flush()
         try:
             content = answer(json.loads(questions.get()))
-        except Exception as error:  # an error of this program must not stop a fleet
+        except Exception as error:  # a bug must not stop the fleet
             content = {"failed": REFUSED, "reason": f"{type(error).__name__}: {error}"}
 
 

@@ -1,6 +1,6 @@
-"""A process for units that can be killed: one that hangs holds nobody up.
+"""Child processes for units, which can be killed if one hangs.
 
-Each thread of a Dask worker keeps one child that has everything loaded. Questions and
+Each thread of a Dask worker keeps one child with all modules loaded. Questions and
 answers are lines of JSON. A child that takes too long, or dies, is replaced.
 """
 
@@ -16,13 +16,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-# What becomes of a unit.
+# Status of a unit.
 OK, REFUSED, LATE, LOST = "ok", "refused", "late", "lost"
-VERDICT, FINDING = "verdict", "finding"  # of a diagnosis
-_START = 300.0  # s that a child may take to load on a busy machine
-_TRIES = 2  # a child may have been killed for what others did
+VERDICT, FINDING = "verdict", "finding"  # rows of a diagnosis
+_START = 300.0  # s for a child to load on a busy machine
+_TRIES = 2  # since the system may kill a child that is not at fault
 _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_children: dict[int, Child] = {}  # by the thread that asks it
+_children: dict[int, Child] = {}  # by thread
 
 
 class Child:
@@ -41,15 +41,15 @@ class Child:
         self._read(_START)
 
     def ask(self, question: str, limit: float) -> dict[str, Any]:
-        """Its answer.
+        """The answer to a question.
 
         Args:
             question: One line.
-            limit: Time it may take, [s].
+            limit: Longest time, [s].
 
         Raises:
             TimeoutError: It took longer.
-            EOFError: It died.
+            EOFError: The child died.
         """
         assert self.process.stdin
         try:
@@ -71,22 +71,22 @@ class Child:
         return dict(json.loads(line))
 
     def end(self) -> None:
-        """Kill it, whatever it does."""
+        """Kill the child."""
         self.process.kill()
         self.process.wait()
         for stream in (self.process.stdin, self.process.stdout):
             if stream:
-                with suppress(OSError):  # what was not read by a killed child is lost
+                with suppress(OSError):  # of unread data
                     stream.close()
 
 
 def ask(message: Mapping[str, Any], model: str | None, limit: float) -> dict[str, Any]:
-    """What a child answers; what keeps it from answering is an answer, too.
+    """The answer of this thread's child; a timeout or death is an answer too.
 
     Args:
         message: See :func:`hybrid.fleets.unit.answer`.
         model: Text of the baseline.
-        limit: Time it may take, [s].
+        limit: Longest time, [s].
     """
     question, reason = json.dumps({**message, "model": model}), ""
     for _ in range(_TRIES):

@@ -1,4 +1,4 @@
-"""From recordings to a dynamic model, and how well it predicts."""
+"""Identification of a dynamic model from recordings, and its validation."""
 
 from hybrid.identification.fit import Fit
 from hybrid.identification.three_stage import identify

@@ -1,9 +1,9 @@
-"""Physically consistent links: bodies that some distribution of mass could make.
+"""Physically consistent links: those that some distribution of mass can have.
 
-A link is physical if and only if its pseudo-inertia, the second moment of its mass in
-homogeneous coordinates, is positive semidefinite. That is linear in the ten
-parameters, so the physical links nearest to the least-squares solution, in the metric
-of the data, are the solution of a semidefinite program.
+A link is physically consistent if and only if its pseudo-inertia, the second moment of
+its mass in homogeneous coordinates, is positive semidefinite. The pseudo-inertia is
+linear in the ten parameters. So the consistent links nearest to the least-squares
+solution, in the metric of the data, solve a semidefinite program.
 
 Source: Wensing, Kim and Slotine 2018, doi 10.1109/LRA.2017.2729659 (pseudo-inertia);
 Sousa and Cortesão 2014, doi 10.1177/0278364913514870 (identification as semidefinite
@@ -28,11 +28,11 @@ from hybrid.dynamics.pseudo_inertia import (
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem
 
-# Curvatures are relative to that of the direction which the data see best.
-_UNSEEN = 1e-12  # curvature at which there is nothing but rounding
-_WEAKEST_PULL = 1e-11  # holds unseen directions at the nominal links
-_MOST_LOSS = 4.0  # how often the unavoidable loss may be spent on plausible links
-_SMALLEST_SCALE = 1e-5  # curvature of a link, so that the solver's tolerances serve
+# Curvatures are relative to the largest one.
+_UNSEEN = 1e-12  # curvature that is rounding error
+_WEAKEST_PULL = 1e-11  # curvature that holds unseen directions at the nominal links
+_MOST_LOSS = 4.0  # largest loss for nominal links, as a multiple of the least loss
+_SMALLEST_SCALE = 1e-5  # smallest curvature of a link that the solver can handle
 
 
 @dataclass(frozen=True)
@@ -61,28 +61,29 @@ def physically_consistent(
     nominal: Array | None = None,
     margin: float = 1e-4,
 ) -> Consistent:
-    """The physical links and gains that fit the data best.
+    """The physically consistent links and gains that fit the data best.
 
-    Minimises ½ θᵀAθ − bᵀθ, θ being what links and gains give, while every
+    Minimises ½ θᵀAθ − bᵀθ for the unknowns θ of the links and gains, while every
     pseudo-inertia stays above ``margin`` times the nominal one and every gain above
-    ``problem.lower``. Directions that the data do not see stay at the nominal links
-    as far as that is physical. The true links are physical and so have the
-    unavoidable loss at least: what the data tell less well than that is left to the
-    nominal links too, as long as the loss stays within four times the unavoidable.
+    ``problem.lower``. Directions that the data do not determine stay at the nominal
+    links. So do directions that the data determine weakly, as long as the loss stays
+    below four times the least loss: the true links are consistent, so they have at
+    least that one.
 
-    Gains that were dropped from the unknowns are 0; the links carry what they would
-    (the inertia of the first rotor is in Izz of the first link).
+    Gains that were dropped from the unknowns are 0; the links include them (the
+    inertia of the first rotor is in Izz of the first link).
 
     Args:
         problem: The unknowns.
         A: Normal matrix, shape (p, p).
         b: Right side, shape (p,).
-        nominal: Plausible link parameters, shape (n, 10); the chain's own by default.
-            A link that is not physical is replaced by a body of its size.
+        nominal: Nominal link parameters, shape (n, 10); those of the chain by default.
+            A link that is not consistent is replaced by a body of its size.
         margin: Smallest pseudo-inertia, as a share of the nominal one, above 0.
 
     Raises:
-        IdentificationError: The data hold nothing, or the solver failed.
+        IdentificationError: The normal equations are zero or not finite, or the solver
+            failed.
     """
     if not (np.isfinite(A).all() and np.isfinite(b).all() and np.trace(A) > 0):
         raise IdentificationError(
@@ -101,22 +102,23 @@ def physically_consistent(
 
 @dataclass(frozen=True)
 class _Program:
-    """The fit in coordinates z: links as seen from their nominal selves, then gains.
+    """The semidefinite program in scaled coordinates z of links, then gains.
 
-    Ten coordinates stack the pseudo-inertia of a link in the frame in which the nominal
-    one is the identity; each link and each gain is scaled to unit mean curvature, so
-    that a light wrist counts like a heavy shoulder.
+    Ten coordinates are the stacked pseudo-inertia of a link, in the frame in which the
+    nominal one is the identity. Each link and each gain is scaled to a mean curvature
+    of 1, so that a light wrist counts as much as a heavy shoulder.
 
     Attributes:
         links: Number of links n.
-        mapping: Unknowns θ from links and kept gains, shape (p, z).
-        frame: Links and kept gains from the coordinates, shape (z, z).
+        mapping: Maps links and kept gains to the unknowns θ, shape (p, z).
+        frame: Maps coordinates to links and kept gains, shape (z, z).
         A: Normal matrix for θ, shape (p, p).
-        curvature: Of the data along each direction, the largest being 1, shape (z,).
-        directions: Those directions, in columns, shape (z, z).
-        optimum: Unconstrained optimum along each direction, 0 where unseen.
-        nominal: The nominal links, without gains, along each direction.
-        least: Smallest coordinates: of a link as a matrix, of a gain as a number.
+        curvature: Eigenvalues of the data's curvature over the largest, shape (z,).
+        directions: Eigenvectors, in columns, shape (z, z).
+        optimum: Unconstrained optimum along each eigenvector, 0 where unseen.
+        nominal: The nominal links, without gains, along each eigenvector.
+        least: Lower bound of the coordinates: of a link as a matrix, of a gain as a
+            number.
     """
 
     links: int
@@ -130,12 +132,12 @@ class _Program:
     least: Array
 
     def solve(self, pull: float) -> Consistent:
-        """Physical links nearest the data, where curvature above ``pull`` is seen."""
+        """The consistent links; directions of curvature below ``pull`` are nominal."""
         seen = self.curvature > max(pull, _UNSEEN)
-        goal = self.directions @ np.where(seen, self.optimum, self.nominal)
-        bend = np.where(seen, self.curvature, pull)
-        metric = (self.directions * bend) @ self.directions.T
-        z, converged = nearest_above(goal, metric, self.least, self.links)
+        target = self.directions @ np.where(seen, self.optimum, self.nominal)
+        curvature = np.where(seen, self.curvature, pull)
+        metric = (self.directions * curvature) @ self.directions.T
+        z, converged = nearest_above(target, metric, self.least, self.links)
         standard = self.frame @ z
         theta = self.mapping @ standard
         best = self.mapping @ (self.frame @ (self.directions @ self.optimum))
@@ -179,10 +181,10 @@ def _program(
 
 
 def _sizes(curvature: Array, n: int) -> Array:
-    """Scale of every coordinate: one for each link, and one for each gain."""
+    """Scale of each coordinate; the ten of a link have the same."""
     links = curvature[: 10 * n].reshape(n, 10).mean(axis=1)
     if not links.max() > 0:
-        raise IdentificationError("the data say nothing about any link; more is needed")
+        raise IdentificationError("the data determine no link; more motion is needed")
     gains = curvature[10 * n :] / links.max()
     links = np.maximum(links / links.max(), _SMALLEST_SCALE)
     gains = np.where(gains > 0, gains, 1.0)

@@ -1,4 +1,4 @@
-"""Data of a fit: motions, folds, blocks, filter and standstill."""
+"""Data of a fit: motions, cross-validation folds, blocks, filter and standstill."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from hybrid.signals import (
 )
 
 FOLDS = 4
-_BLOCKS = 48  # over which the gain of a term is averaged, at the least
-_MOST_KEPT = 2**28  # bytes of the links' regressors
+_FEWEST_BLOCKS = 48  # over which the gain of a term is averaged
+_CACHE_SIZE = 2**28  # bytes
 
 
 @dataclass(frozen=True)
@@ -36,20 +36,20 @@ class Data:
     """Motions prepared for fitting.
 
     Attributes:
-        motions: Motions at the rate the fit works at, see :func:`thinned`.
-        folds: Fold of every sample for cross-validation, shape (N,) for each motion.
+        motions: Decimated motions, see :func:`decimated_motion`.
+        folds: Cross-validation fold of every sample, shape (N,) for each motion.
         cutoff: Cut-off of the filter of columns and torque, [Hz].
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
 
     Raises:
-        RecordingError: A motion comes without torque.
+        RecordingError: A motion has no torque.
     """
 
     motions: tuple[Motion, ...]
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
-    _kept: dict[tuple[Any, ...], Array] = field(
+    _cache: dict[tuple[Any, ...], Array] = field(
         default_factory=dict, repr=False, compare=False
     )
     _bodies: dict[tuple[int, int, int], RigidBody] = field(
@@ -62,8 +62,8 @@ class Data:
     def __post_init__(self) -> None:
         check_torque(self.motions)
 
-    def less(self, known: Sequence[Array] | None) -> Data:
-        """The same data minus an explained torque, (N, n) for each motion."""
+    def minus(self, known: Sequence[Array] | None) -> Data:
+        """The same data less a known torque, shape (N, n) for each motion, [N·m]."""
         if known is None:
             return self
         pairs = zip(self.motions, known, strict=True)
@@ -71,7 +71,7 @@ class Data:
 
     def products(self, problem: Problem) -> CrossProducts:
         """Cross-products of a problem on these motions; see :func:`accumulate`."""
-        if not (self._last and problem.same(self._last[0].problem)):
+        if not (self._last and problem.equals(self._last[0].problem)):
             self._last[:] = [
                 accumulate(
                     problem,
@@ -90,19 +90,19 @@ class Data:
     ) -> Chunks:
         """Rows of a problem along a motion; see :func:`sampled_chunks`.
 
-        Those of the links are the same for every problem: they are kept, as they are
-        and filtered.
+        Link rows are the same for all problems whose effects do not change signals, so
+        they are cached.
         """
         sampler = Sampler.for_rate(motion.rate, self.cutoff)
         total = len(motion.t) if total is None else total
 
         def rows(here: slice) -> Array:
             some = part(motion, here)
-            if not problem.alike:
+            if problem.changes_signals:
                 return problem.rows(some)
             at = here.start, here.stop
-            links = self.kept(
-                ("raw", problem.links, *at), motion, lambda: problem.of_links(some)
+            links = self.cached(
+                ("raw", problem.links, *at), motion, lambda: problem.link_columns(some)
             )
             body = self._bodies.get((id(motion.q), *at))
             if body is None or not np.array_equal(body.inertial, problem.inertial):
@@ -111,10 +111,10 @@ class Data:
             return problem.rows(some, links, body)
 
         def filtered(here: slice, full: Array) -> Array:
-            if not problem.alike:
+            if problem.changes_signals:
                 return sampler(full, axis=1)
             links, others = problem.link_rows, np.r_[problem.other_rows]
-            known = self.kept(
+            known = self.cached(
                 ("filtered", problem.links, here.start, here.stop),
                 motion,
                 lambda: np.concatenate([sampler(full[x], axis=1) for x in links]),
@@ -125,38 +125,29 @@ class Data:
 
         return sampled_chunks(rows, total, sampler, filtered)
 
-    def kept(
+    def cached(
         self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Array]
     ) -> Array:
-        """What depends on the motion alone, not on its torque, made once.
-
-        It is kept as far as all takes no more memory than a few minutes of an arm's
-        motion.
-
-        Args:
-            key: What it is.
-            motion: One of the motions.
-            make: Makes it.
-        """
-        key = *key, id(motion.q)  # lives as long as these data
-        found = self._kept[key] if key in self._kept else make()
-        if sum(x.nbytes for x in self._kept.values()) < _MOST_KEPT:
-            self._kept[key] = found
+        """A value that depends on the motion but not on its torque, computed once."""
+        key = *key, id(motion.q)  # the array lives as long as these data
+        found = self._cache[key] if key in self._cache else make()
+        if sum(x.nbytes for x in self._cache.values()) < _CACHE_SIZE:
+            self._cache[key] = found
         return found
 
-    def left_out(self, problem: Problem, theta: Array) -> list[Array]:
-        """Torque that solutions leave on the fold that each was not fitted on.
+    def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
+        """Residual of each sample by the solution without its fold.
 
         Args:
             problem: The linear problem.
-            theta: A solution without each fold, shape (F, p).
+            theta: Solutions without each fold, shape (F, p).
 
         Returns:
             Unfiltered torque, shape (N, n) for each motion, [N·m].
         """
         found = []
         for motion, fold in zip(self.motions, self.folds, strict=True):
-            left = np.empty_like(motion.tau)
+            residual = np.empty_like(motion.tau)
             factor = Sampler.for_rate(motion.rate, self.cutoff).factor
             for first, _, D in self.chunks(problem, motion):
                 here = slice(first * factor, first * factor + D.shape[1])
@@ -164,25 +155,25 @@ class Data:
                     own = D[problem.offsets[i] : problem.offsets[i + 1]]
                     known = theta[:, support] @ own[:-1]
                     known = np.take_along_axis(known, fold[None, here], axis=0)[0]
-                    left[here, i] = own[-1] - known
-            found.append(left)
+                    residual[here, i] = own[-1] - known
+            found.append(residual)
         return found
 
-    def squares(self, left: Sequence[Array]) -> Array:
-        """Squares of moving joints in each block, shape (B, n), [N²·m²].
+    def squares(self, residual: Sequence[Array]) -> Array:
+        """Squares of the moving joints in each block, shape (B, n), [N²·m²].
 
         Args:
-            left: Torque at the rate of the motions, shape (N, n) for each, [N·m].
+            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
         """
         label = np.concatenate(self.blocks)
         moves = np.concatenate([self.moves(m) for m in self.motions])
-        squares = np.where(moves, np.concatenate(left), 0.0) ** 2
+        squares = np.where(moves, np.concatenate(residual), 0.0) ** 2
         return np.stack([np.bincount(label, x) for x in squares.T], axis=1)
 
     @cached_property
     def blocks(self) -> list[NDArray[np.intp]]:
         """Block of each sample, shape (N,) for each motion; each lies in one fold."""
-        each = max(1, -(-_BLOCKS // len(self.motions)))
+        each = max(1, -(-_FEWEST_BLOCKS // len(self.motions)))
         found, last = [], 0
         for fold in self.folds:
             position = np.arange(len(fold)) * each // len(fold)
@@ -193,7 +184,7 @@ class Data:
 
     @property
     def scales(self) -> list[Scale]:
-        """Highest torque and speed of every joint; files often state none."""
+        """Highest torque and speed of every joint in the data."""
         each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
         torque = np.max(each, axis=0)
         pairs = zip(torque, fastest(self.motions), strict=True)
@@ -201,41 +192,41 @@ class Data:
 
     @property
     def moving(self) -> Array:
-        """Samples at which each joint moves, shape (n,)."""
+        """Number of samples at which each joint moves, at least 1, shape (n,)."""
         each = [self.moves(m).sum(axis=0) for m in self.motions]
         return np.asarray(np.maximum(np.sum(each, axis=0), 1.0))
 
     def moves(self, motion: Motion) -> NDArray[np.bool_]:
-        """Where each joint moves and the mask allows, shape (N, n)."""
+        """Samples that are not masked and at which each joint moves, shape (N, n)."""
         moves = np.abs(motion.v) > self.standing
         return np.asarray(moves & motion.mask[:, None])
 
-    def sampled(self, left: Sequence[Array]) -> Rest:
-        """Torque filtered and decimated, with positions and speeds, motions stacked.
+    def decimated(self, residual: Sequence[Array]) -> Residual:
+        """A residual filtered and decimated, all motions concatenated.
 
         Args:
-            left: Torque at the rate of the motions, shape (N, n) for each, [N·m].
+            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
         """
         parts = []
-        for motion, tau, fold in zip(self.motions, left, self.folds, strict=True):
+        for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
             sampler = Sampler.for_rate(motion.rate, self.cutoff)
             few = slice(None, None, sampler.factor)
             moves = self.moves(motion)
             parts.append(
                 (motion.q[few], motion.v[few], sampler(tau), moves[few], fold[few])
             )
-        return Rest(*(np.concatenate(x) for x in zip(*parts, strict=True)))
+        return Residual(*(np.concatenate(x) for x in zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True)
-class Rest:
-    """Torque that a model leaves, M decimated samples of all motions.
+class Residual:
+    """Filtered residual torque of a model at M decimated samples of all motions.
 
     Attributes:
         q: Positions, shape (M, n), [rad].
         v: Speeds, shape (M, n), [rad/s].
-        tau: Torque left, filtered, shape (M, n), [N·m].
-        moving: True where a joint moves and the mask allows, shape (M, n).
+        tau: Residual torque, shape (M, n), [N·m].
+        moving: True where a joint moves and is not masked, shape (M, n).
         fold: Fold of each sample, shape (M,).
     """
 

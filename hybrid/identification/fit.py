@@ -1,4 +1,4 @@
-"""The result of an identification: model, uncertainty, and open questions."""
+"""The result of an identification: model, uncertainty and undetermined parameters."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from hybrid.shown import Shown
 # Gautier and Khalil 1992, doi 10.1177/027836499201100408: motions that identify well
 # have condition numbers below about a hundred.
 GOOD_CONDITION = 100.0
-_NAMED = 6  # weakest unknowns named in a sentence
-_HEAVY = 0.1  # share of an unknown in the weak directions from which it is named
+_MOST_NAMED = 6  # unknowns in one sentence
+_WEAK = 0.1  # share of an unknown in weak directions from which it is named
 
 
 @dataclass(frozen=True)
@@ -28,20 +28,21 @@ class Fit(Shown):
 
     Attributes:
         model: The identified model.
-        names: Unknowns of the linear part, in full, length p.
+        names: Full names of the unknowns of the linear part, length p.
         labels: Their short names, length p.
         units: Their units, length p.
         estimate: Values, covariance and residual covariance of the linear part. If
             the links were made physically consistent, only the values changed.
-        held_out: RMS of each joint on samples that no stage was fitted on, by stage,
-            each of shape (n,), [N·m].
+        held_out: RMS residual of each joint on held-out samples, by stage, shape (n,)
+            each, [N·m].
         condition: Condition number of the whitened, column-scaled columns of rigid
-            body and linear friction: what the motion is worth.
-        converged: False if the iteration limit came first, in any loop.
-        unidentifiable: What no motion, or not these recordings, can tell, in words.
-        left_out: Stages that did not help, in words.
-        warnings: All that was warned of, in words.
-        rounds: How often the three stages were gone through.
+            body and linear friction: the quality of the excitation.
+        converged: False if any iteration reached its limit.
+        unidentifiable: Parameters that no motion, or not these recordings, determine,
+            in words.
+        left_out: Stages that did not lower the error, in words.
+        warnings: All warnings, in words.
+        rounds: Number of passes through the three stages.
     """
 
     model: DynamicModel
@@ -77,7 +78,7 @@ class Fit(Shown):
 
 
 def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
-    """Parameters that no motion tells apart, then those these logs leave open."""
+    """Parameters that no motion identifies, then those that these logs do not."""
     base, rigid = problem.base, 10 * problem.chain.size
     found = []
     for label, joined in base.dropped.items():
@@ -85,7 +86,7 @@ def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
             found.append(
                 f"{label} cannot be told from {joined}: only their combination is known"
                 if joined
-                else f"{label} moves no torque"
+                else f"{label} changes no torque"
             )
     labels = base.kept_labels
     found += [
@@ -98,30 +99,25 @@ def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
         for k in sorted(held)
     ]
     low, high = estimate.interval()
-    open_ = (low < 0) & (high > 0)
-    open_[[*estimate.undetermined, *held]] = False
+    unclear = (low < 0) & (high > 0)
+    unclear[[*estimate.undetermined, *held]] = False
     found += [
-        f"{labels[k]} cannot be told from zero" for k in problem.rigid if open_[k]
+        f"{labels[k]} cannot be told from zero" for k in problem.rigid if unclear[k]
     ]
     return tuple(found)
 
 
 def poor_excitation(products: CrossProducts, estimate: Estimate) -> str | None:
-    """One sentence on what the motion hardly excites; None if it excites all.
-
-    Args:
-        products: Data of rigid body and linear friction.
-        estimate: Their solution.
-    """
+    """A sentence that names parameters which the motion hardly excites, or None."""
     if estimate.condition <= GOOD_CONDITION:
         return None
     problem = products.problem
     A, _ = products.normal(estimate.weight)
     weak = (weak_directions(A, 1 / GOOD_CONDITION) ** 2).sum(axis=1)
-    worst = [int(k) for k in np.argsort(-weak)[:_NAMED] if weak[k] > _HEAVY]
+    worst = [int(k) for k in np.argsort(-weak)[:_MOST_NAMED] if weak[k] > _WEAK]
     labels, joints = problem.base.kept_labels, problem.chain.joints
-    gains = {u: problem.effects[e].joints[-1] for u, e, _ in problem.gains}
-    moved = {gains.get(k, problem.base.kept[k] // 10) for k in worst}
+    of_gain = {u: problem.effects[e].joints[-1] for u, e, _ in problem.gains}
+    moved = {of_gain.get(k, problem.base.kept[k] // 10) for k in worst}
     return (
         f"the motion excites the arm poorly (condition number "
         f"{estimate.condition:.3g}, good is below {GOOD_CONDITION:g}): "

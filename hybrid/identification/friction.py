@@ -1,9 +1,9 @@
-"""Nonlinear friction of one joint: threshold, width and non-negative coefficients.
+"""Fit of nonlinear friction of one joint: threshold, width and coefficients.
 
-The law is linear in its coefficients once threshold λ and width are given, and nearly
-all of it is straight between a few speeds. Its columns at every pair on a grid are thus
-sums of the same few hat functions of speed, which are filtered and multiplied once; the
-search over λ is a search over small non-negative least-squares problems.
+The law is linear in its coefficients for a given threshold and width, and its dry part
+is piecewise linear in speed. So its columns at every pair on a grid are sums of the
+same few hat functions of speed. These are filtered and multiplied once; the search over
+the grid then solves small non-negative least-squares problems.
 
 Source: Lawson and Hanson 1974, doi 10.1137/1.9781611971217 (non-negative least
 squares).
@@ -37,7 +37,7 @@ _COLUMNS = len(ThresholdFriction.gains)
 
 @dataclass(frozen=True)
 class _Grid:
-    """Thresholds and widths, and the speeds between which their laws are straight."""
+    """A grid of thresholds and widths, and the speeds at which their laws bend."""
 
     fastest: float
 
@@ -59,7 +59,7 @@ class _Grid:
         return np.array(sorted(found))
 
     def columns(self, v: Array) -> Array:
-        """Hats of each direction and powers of speed; shape (2K + 3, N)."""
+        """Hat functions of each direction, then powers of speed; shape (2K + 3, N)."""
         speed, sign = abs(v), np.sign(v)
         at = np.clip(np.searchsorted(self.knots, speed) - 1, 0, len(self.knots) - 2)
         step = np.diff(self.knots)[at]
@@ -75,7 +75,7 @@ class _Grid:
 
     @cached_property
     def maps(self) -> Array:
-        """Columns of the law at each pair, load and torque, from :meth:`columns`."""
+        """Matrix from :meth:`columns`, load and torque to the law's rows, by pair."""
         zero, count = np.zeros(len(self.knots)), len(self.knots)
         dry = _COLUMNS - _SMOOTH
         found = []
@@ -93,26 +93,25 @@ class _Grid:
 def fit_friction(
     data: Data, joint: int, rest: Sequence[Array], load: Sequence[Array]
 ) -> tuple[Effect, ...]:
-    """Friction of one joint from what the rigid body leaves of its torque.
+    """Fit the friction of one joint.
 
     Args:
         data: Motions with folds.
         joint: The joint.
-        rest: Torque less everything but friction, shape (N,) for each motion, [N·m].
+        rest: Torque less all terms but friction, shape (N,) for each motion, [N·m].
         load: Torque transmitted to the link, shape (N,) for each motion, [N·m].
 
     Returns:
-        Threshold friction, and load friction where it lowers the error on folds that
-        were left out.
+        Threshold friction, and load friction if it lowers the held-out error.
     """
     grid = _Grid(max(float(np.abs(m.v[m.mask, joint]).max()) for m in data.motions))
     products = grid.maps[:, None] @ _products(data, joint, rest, load, grid)
     products = products @ grid.maps.transpose(0, 2, 1)[:, None]
     bare = np.delete(np.arange(_COLUMNS + 2), _COLUMNS)
-    ways = products[:, :, bare[:, None], bare], products  # without load, and with it
-    errors = np.stack([held_out(x) for x in ways], axis=1)
+    laws = products[:, :, bare[:, None], bare], products  # without load, and with it
+    errors = np.stack([held_out(x) for x in laws], axis=1)
     best, loaded = divmod(int(errors.argmin()), 2)
-    coefficients = _nonnegative(ways[loaded][best].sum(axis=0)).tolist()
+    coefficients = _nonnegative(laws[loaded][best].sum(axis=0)).tolist()
     names = [g.name for g in ThresholdFriction.gains]
     values = _canonical(dict(zip(names, coefficients, strict=False)))
     shapes = {**grid.shapes[best], "fastest": grid.fastest}
@@ -139,7 +138,7 @@ def _products(
             chunks = sampled_chunks(lambda x: grid.columns(v[x]), len(v), sampler)
             return np.concatenate([D for _, D, _ in chunks], axis=1)[:, moves]
 
-        known = data.kept(("friction", joint), motion, columns)
+        known = data.cached(("friction", joint), motion, columns)
         new[0] = np.abs(new[0]) * np.sign(v)
         rows = np.concatenate([known, sampler(np.stack(new), axis=1)[:, moves]])
         for k in np.unique(own):
@@ -149,7 +148,7 @@ def _products(
 
 
 def _canonical(values: dict[str, float]) -> dict[str, float]:
-    """The same law without a falling and a rising part that cancel to a level."""
+    """The same law with one of its falling and rising parts zero."""
     both = min(values["falling"], values["rising"])
     change = {"falling": -both, "rising": -both}
     change |= {"coulomb_positive": both, "coulomb_negative": both}
@@ -157,7 +156,7 @@ def _canonical(values: dict[str, float]) -> dict[str, float]:
 
 
 def held_out(sums: Array) -> Array:
-    """Squares left on each fold by non-negative coefficients from the others, (...).
+    """Held-out squares of non-negative coefficients, summed over folds, shape (...).
 
     Args:
         sums: Cross-products of columns and torque, last, shape (..., F, k + 1, k + 1).

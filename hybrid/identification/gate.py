@@ -1,8 +1,8 @@
-"""The gate of the ladder: a rung must lower the error on unseen samples.
+"""The test that every new term must pass: it lowers the held-out error of a joint.
 
-For each joint, the held-out squares of the torque that leaves ``predict`` are compared
-block by block, with and without the rung, so that noise common to both cancels. A rung
-is taken where the mean gain of the blocks exceeds its own uncertainty.
+The squared residuals of the predicted torque are compared block by block, with and
+without the term, so that noise common to both cancels. The term is accepted if the mean
+gain over the blocks exceeds its own uncertainty.
 """
 
 from __future__ import annotations
@@ -13,19 +13,16 @@ from scipy.special import ndtri
 
 from hybrid.arrays import Array
 
-_CHANCE = 0.025  # that noise alone passes, however many terms were tried
+_CHANCE = 0.025  # probability that noise alone passes
 
 
 def lowers(before: Array, after: Array, *, tried: int = 1) -> NDArray[np.bool_]:
-    """Whether the held-out squares of each joint fall significantly.
+    """Whether the held-out squares of each joint fall significantly, shape (n,).
 
     Args:
-        before: Squares of each block without the rung, shape (B, n), [N²·m²].
-        after: The same with it.
-        tried: How many rungs it is the best of.
-
-    Returns:
-        True for each joint that gains, shape (n,).
+        before: Squares of each block without the term, shape (B, n), [N²·m²].
+        after: Squares of each block with the term, shape (B, n), [N²·m²].
+        tried: Number of terms of which this one is the best.
     """
     gain = before - after
     error = np.sqrt(((gain - gain.mean(axis=0)) ** 2).sum(axis=0))

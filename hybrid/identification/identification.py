@@ -1,9 +1,8 @@
-"""The state of one identification: the best terms so far, and what each rung does.
+"""The stages of one identification, and the best terms found so far.
 
-The ladder: least squares, weighted by the variance of each joint, by the full
-covariance across joints, with the robot file as a prior; then friction, ripple and a
-learned remainder. A rung is taken for each joint on which it lowers the held-out error
-of the torque that the model predicts, by one gate; see ``gate.py``.
+The stages: the rigid body with linear friction, nonlinear friction, ripple, a learned
+remainder, and physically consistent links. A new term of a joint is accepted only if it
+lowers the held-out error of the predicted torque; see ``gate.py``.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from hybrid.identification.data import FOLDS, Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import lowers
-from hybrid.identification.preparation import linear_effects, scored
+from hybrid.identification.preparation import linear_effects
 from hybrid.identification.remainder import Learned, fit_remainder
 from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
 from hybrid.identification.solution import Solution
@@ -45,25 +44,16 @@ _FRICTION = (
     Coulomb, Viscous, NonlinearViscous, ThresholdFriction, LoadFriction, TorqueOffset,
 )  # fmt: skip
 _MOST_ROUNDS = 4
-_SETTLED = 0.005  # relative change of the held-out error that ends the iteration
-# Largest share of the rated torque that a learned remainder may ever give: it is a
-# correction; should it go wrong, the arm's own brakes and limits must master it.
+_TOLERANCE = 0.005  # relative fall of the held-out error at which iterations end
+# Largest torque of a learned remainder, as a share of the rated torque. If it is ever
+# wrong, the brakes and limits of the arm must be able to master it.
 MOST_LEARNED = 0.3
 _WORSE = 0.05  # relative rise of the error above that of the file that is refused
-_COSTLY = 0.01  # relative rise of the held-out error that is warned of
+_COSTLY = 0.01  # relative rise of the held-out error that gives a warning
 
 
 class Identification:
-    """The best terms so far and their error; every rung may improve them.
-
-    Args:
-        robot: The arm.
-        data: Motions with folds.
-        estimator: How joints are weighed, at the most.
-        extra: Effects of the user.
-        robust: Weigh down stretches that do not fit.
-        seed: Seed of the mixtures' starts.
-    """
+    """The best terms found so far and their held-out error."""
 
     def __init__(
         self,
@@ -87,14 +77,19 @@ class Identification:
     best: Solution
     squares: Array
 
-    def plain(self) -> dict[str, Array]:
-        """Rigid body with linear friction: by three estimators, then with the prior."""
+    def rigid_stage(self) -> dict[str, Array]:
+        """Fit the rigid body with linear friction.
+
+        Returns:
+            Held-out RMS of each joint by estimator, and of the best one with the
+            prior, shape (n,) each, [N·m].
+        """
         linear = linear_effects(self.robot)
         problem = build_problem(self.robot.chain, (*linear, *self.extra))
-        if any(e.reports or e.observes for e in self.extra):
+        if any(e.changes_signals for e in self.extra):
             problem, self.settled = self.solver.linearised(problem)
         self.simpler = self.solver.plain(problem)
-        self._take(self.solver.best(problem))
+        self._adopt(self.solver.best(problem))
         last = self.simpler[self.estimator]
         poor = poor_excitation(last.products, last.estimate)
         if poor:
@@ -108,41 +103,43 @@ class Identification:
         """Held-out RMS of each joint, shape (n,), [N·m]."""
         return self.solver.rms(self.squares)
 
-    def bend(self) -> None:
-        """Stage two, and stage one again with its law, until the error settles."""
+    def friction_stage(self) -> None:
+        """Fit nonlinear friction, then all terms again, until the error settles."""
         before = self.best
         for _ in range(_MOST_ROUNDS):
-            offer = self._friction(self.best)
-            found = self._climb(self.best, [offer])
+            candidates = self._friction_candidates(self.best)
+            found = self._accepted(self.best, [candidates])
             gain = self.solver.cost(self.best.squares) - self.solver.cost(found.squares)
-            self._take(found)
-            if gain <= _SETTLED:
+            self._adopt(found)
+            if gain <= _TOLERANCE:
                 break
         if self.best is before:
             self._leave_out("friction: the threshold law does not lower the error")
 
-    def ripple(self) -> None:
-        """Stage two, second part: torque that repeats with position."""
+    def ripple_stage(self) -> None:
+        """Fit torque ripple, which repeats with position."""
         before, waves = self.best, Waves()
         for _ in range(_MOST_ROUNDS):
             new = find_ripples(self.data, self.best, waves)
-            # At every speed that was seen, or else only where the fit saw it.
-            offers = [
+            # At all speeds of the log, or only at speeds whose ripple is below the
+            # cut-off.
+            limits = (lambda x: x, partial(in_band, cutoff=self.data.cutoff))
+            options = [
                 {
-                    j: [*self._at(self.best, j), *map(where, ripples)]
+                    j: [*self._replaceable(self.best, j), *map(limit, ripples)]
                     for j, ripples in new.items()
                 }
-                for where in (lambda x: x, partial(in_band, cutoff=self.data.cutoff))
+                for limit in limits
             ]
-            found = self._climb(self.best, offers, tried=JUDGED)
+            found = self._accepted(self.best, options, tried=JUDGED)
             if found is self.best:
                 break
-            self._take(found)
+            self._adopt(found)
         if self.best is not before:
-            self._keep(before)
+            self._record_stage(before)
 
-    def learn(self) -> None:
-        """Stage three, and the physical terms again around it, until it settles."""
+    def remainder_stage(self) -> None:
+        """Learn the remainder, and fit the physical terms again, until it settles."""
         physical = self.best
         for self.rounds in range(1, _MOST_ROUNDS + 1):
             learned = self._learned(physical)
@@ -152,7 +149,7 @@ class Identification:
             if gain > 0:
                 self.best, self.squares = physical, learned.squares
                 self.remainder = learned.remainder
-            if gain <= _SETTLED:
+            if gain <= _TOLERANCE:
                 break
             physical = self.solver.with_effects(
                 physical, physical.effects, learned.cross
@@ -162,41 +159,41 @@ class Identification:
         if self.remainder is None:
             self._leave_out("remainder: no regression lowers the error")
         else:
-            self._keep(self.best)
+            self._record_stage(self.best)
 
     def _learned(self, physical: Solution) -> Learned:
-        left = self.data.left_out(physical.problem, physical.theta)
+        residual = self.data.held_out_residual(physical.problem, physical.theta)
         bound = MOST_LEARNED * self.robot.tau_max
         return fit_remainder(
-            self.data, left, among=self.remainder, bound=bound, seed=self.seed
+            self.data, residual, among=self.remainder, bound=bound, seed=self.seed
         )
 
-    def constrain(self) -> None:
-        """Links that could be built; what was learned is learned anew around them."""
+    def consistent_stage(self) -> None:
+        """Make the links physically consistent, and learn the remainder again."""
         free, before = self.best, self.squares
-        self._keep(free, self.remainder)
+        self._record_stage(free, self.remainder)
 
         def optimum(A: Array, b: Array) -> Array:
             return physically_consistent(free.problem, A, b).theta
 
-        products, settled = free.products, free.settled
-        sums = np.tensordot(settled.share, products.blocks, axes=1)
-        A, b = products.normal(settled.weight, sums)
+        products, weighted = free.products, free.weighted
+        sums = products.weighted_total(weighted.share)
+        A, b = products.normal(weighted.weight, sums)
         found = physically_consistent(free.problem, A, b)
         theta = without_folds(
             products,
-            settled.weight,
+            weighted.weight,
             optimum=optimum,
             folds=FOLDS,
-            share=settled.share,
+            share=weighted.share,
         )
         self.settled &= found.converged
-        self._take(
+        self._adopt(
             replace(
                 free,
-                settled=replace(settled, theta=found.theta),
+                weighted=replace(weighted, theta=found.theta),
                 theta=theta,
-                squares=scored(products, theta),
+                squares=products.held_out_squares(theta),
                 inertial=found.inertial,
             )
         )
@@ -209,16 +206,19 @@ class Identification:
         if cost > _COSTLY:
             self.warnings.append(
                 f"physically consistent links raise the held-out error by {cost:.1%}; "
-                "the data want links that cannot be built"
+                "the data contradict them"
             )
 
     def fit(self, held_out: dict[str, Array]) -> Fit:
-        """The chosen terms, how sure they are, and what is open.
+        """The accepted terms with their uncertainty.
+
+        Args:
+            held_out: RMS of each joint by stage, shape (n,) each, [N·m].
 
         Raises:
-            IdentificationError: The robot file itself predicts the torque better.
+            IdentificationError: The robot file predicts the torque better.
         """
-        self._refuse_harm()
+        self._check_against_file()
         problem, estimate = self.best.problem, self.best.estimate
         model = self.best.model(self.robot, self.remainder)
         simpler = {name.upper(): self._model(s) for name, s in self.simpler.items()}
@@ -242,9 +242,9 @@ class Identification:
             rounds=self.rounds,
         )
 
-    def _refuse_harm(self) -> None:
-        """Refuse what is worse than the file; say where plain LS is better."""
-        file = self.data.squares([self._file_leaves(m) for m in self.data.motions])
+    def _check_against_file(self) -> None:
+        """Refuse a model worse than the file; warn where plain LS is better."""
+        file = self.data.squares([self._file_residual(m) for m in self.data.motions])
         total = self.solver.total(self.squares)
         ratio = np.sqrt(total / np.maximum(self.solver.total(file), 1e-300))
         if np.log(np.maximum(ratio, 1e-300)).mean() > _WORSE:
@@ -260,81 +260,87 @@ class Identification:
                 "on held-out samples"
             )
 
-    def _file_leaves(self, motion: Motion) -> Array:
+    def _file_residual(self, motion: Motion) -> Array:
         robot = self.robot
         known = robot.joint_torque(motion.q, motion.v, motion.a)
         known += RigidBody(robot.chain, motion).load
         known += robot.dry_friction(motion.v)
         return np.asarray(motion.tau - known)
 
-    def _friction(self, start: Solution) -> dict[int, list[Effect]]:
-        """The effects at each joint with its friction found anew."""
+    def _friction_candidates(self, start: Solution) -> dict[int, list[Effect]]:
+        """The effects at each joint, with nonlinear friction fitted to the residual."""
         data, model = self.data, self._model(start)
         others = [e for e in start.effects if not self._is_friction(e)]
         frictionless = replace(model, effects=tuple(others))
         rest = [m.tau - frictionless.predict(m) for m in data.motions]
         loads = [model.body(m).load for m in data.motions]
-        offer = {}
+        candidates = {}
         for j in range(self.robot.size):
             friction = fit_friction(
                 data, j, [x[:, j] for x in rest], [x[:, j] for x in loads]
             )
-            kept = [e for e in self._at(start, j) if not self._is_friction(e)]
-            offer[j] = [*kept, *friction]
-        return offer
+            kept = [e for e in self._replaceable(start, j) if not self._is_friction(e)]
+            candidates[j] = [*kept, *friction]
+        return candidates
 
-    def _at(self, solution: Solution, joint: int) -> list[Effect]:
-        """Effects of one joint alone that stages may replace or add to."""
-        mine = [e for e in solution.effects if not _same_place(e, self.extra)]
-        return [e for e in mine if e.joints == (joint,)]
+    def _replaceable(self, solution: Solution, joint: int) -> list[Effect]:
+        """Effects of one joint that are not the user's."""
+        return [
+            e
+            for e in solution.effects
+            if e.joints == (joint,) and not _is_among(e, self.extra)
+        ]
 
-    def _climb(
+    def _accepted(
         self,
         start: Solution,
-        offers: Sequence[Mapping[int, list[Effect]]],
+        options: Sequence[Mapping[int, list[Effect]]],
         *,
         tried: int = 1,
     ) -> Solution:
-        """Take at each joint the first offer of effects that passes the gate."""
-        taken: dict[int, list[Effect]] = {}
-        for offer in offers:
-            open_ = {j: x for j, x in offer.items() if j not in taken}
-            if not open_:
+        """The start with the first option that lowers the error, at each joint."""
+        accepted: dict[int, list[Effect]] = {}
+        for candidates in options:
+            pending = {j: x for j, x in candidates.items() if j not in accepted}
+            if not pending:
                 continue
             found = self.solver.with_effects(
-                start, self._exchanged(start, {**taken, **open_})
+                start, self._with_candidates(start, {**accepted, **pending})
             )
             gains = lowers(start.squares, found.squares, tried=tried)
-            taken |= {j: x for j, x in open_.items() if gains[j]}
-            refused = [j for j in open_ if j not in taken]
-        if not taken:
+            accepted |= {j: x for j, x in pending.items() if gains[j]}
+            refused = [j for j in pending if j not in accepted]
+        if not accepted:
             return start
         if refused:
-            found = self.solver.with_effects(start, self._exchanged(start, taken))
+            effects = self._with_candidates(start, accepted)
+            found = self.solver.with_effects(start, effects)
         return min(start, found, key=lambda x: self.solver.cost(x.squares))
 
-    def _exchanged(
+    def _with_candidates(
         self, start: Solution, at: Mapping[int, list[Effect]]
     ) -> list[Effect]:
-        old = [e for j in at for e in self._at(start, j)]
+        old = [e for j in at for e in self._replaceable(start, j)]
         kept = [e for e in start.effects if not any(e is x for x in old)]
         return [*kept, *(e for effects in at.values() for e in effects)]
 
     def _model(
         self, solution: Solution, remainder: ArmRemainder | None = None
     ) -> DynamicModel:
-        """A model to compare with, which does not say how sure its gains are."""
+        """A model to compare with, without standard deviations."""
         return solution.model(self.robot, remainder, sure=False)
 
     def _is_friction(self, effect: Effect) -> bool:
-        """Whether stage two may replace an effect; the user's own ones stay."""
-        return isinstance(effect, _FRICTION) and not _same_place(effect, self.extra)
+        """Whether the friction stage may replace an effect; the user's ones stay."""
+        return isinstance(effect, _FRICTION) and not _is_among(effect, self.extra)
 
-    def _take(self, solution: Solution) -> None:
+    def _adopt(self, solution: Solution) -> None:
         self.best, self.squares = solution, solution.squares
 
-    def _keep(self, solution: Solution, remainder: ArmRemainder | None = None) -> None:
-        """Keep the model of a stage that another one follows, for comparison."""
+    def _record_stage(
+        self, solution: Solution, remainder: ArmRemainder | None = None
+    ) -> None:
+        """Keep the model of a finished stage for comparison."""
         model = self._model(solution, remainder)
         if model.stage != "rigid":  # that one is among the plain estimators
             self.stages[model.stage] = model
@@ -344,6 +350,6 @@ class Identification:
         self.warnings.append(f"left out {text} on held-out samples")
 
 
-def _same_place(effect: Effect, others: Sequence[Effect]) -> bool:
-    """Whether an effect of the same kind is at the same joints."""
+def _is_among(effect: Effect, others: Sequence[Effect]) -> bool:
+    """Whether the others have an effect of the same class at the same joints."""
     return any(type(effect) is type(e) and effect.joints == e.joints for e in others)

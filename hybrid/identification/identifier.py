@@ -19,18 +19,10 @@ from hybrid.robot import Robot
 
 
 class Identifier(BaseEstimator):  # type: ignore[misc]
-    """:func:`identify` with ``fit``, ``predict`` and ``score``, one recording a sample.
+    """:func:`identify` as an estimator; one recording is one sample.
 
-    It can be cloned, searched over and cross-validated by scikit-learn.
-
-    Args:
-        robot: The arm.
-        estimator: See :func:`identify`; so are the others.
-        stages: Stages to run.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
-        robust: Whether to weigh down stretches that do not fit.
-        consistent: Whether the links are to be bodies that could be built.
-        seed: Seed of the mixtures' starts.
+    scikit-learn can clone it, search over its parameters and cross-validate it. The
+    parameters are those of :func:`identify`.
 
     Attributes:
         fit_: The result of :func:`identify`.
@@ -58,7 +50,7 @@ class Identifier(BaseEstimator):  # type: ignore[misc]
         self.seed = seed
 
     def fit(self, X: Sequence[Recording], y: None = None) -> Self:
-        """Identify from recordings; ``y`` is not used: torque is in them."""
+        """Identify from recordings, which hold the torque; ``y`` is not used."""
         settings = self.get_params(deep=False)
         self.fit_ = identify(settings.pop("robot"), X, **settings)
         return self
@@ -69,7 +61,7 @@ class Identifier(BaseEstimator):  # type: ignore[misc]
         return [predict(self.fit_.model, x) for x in X]
 
     def score(self, X: Sequence[Recording], y: None = None) -> float:
-        """Part of the torque's variance that is predicted: R², mean over joints."""
+        """Coefficient of determination R² of the torque, mean over the joints."""
         measured = np.concatenate([x.tau for x in X])
-        left = measured - np.concatenate(self.predict(X))
-        return float(np.mean(1.0 - left.var(axis=0) / measured.var(axis=0)))
+        residual = measured - np.concatenate(self.predict(X))
+        return float(np.mean(1.0 - residual.var(axis=0) / measured.var(axis=0)))

@@ -1,11 +1,11 @@
-"""Test whether one more term of a joint lowers the error beside the others.
+"""Partial regression: the gain of one more term, with all other terms fitted again.
 
-A new column may look much like a sum of others, a slow ripple like gravity. Its gain
-and its worth are those that remain once all other terms, at all joints, have been
-fitted anew; that takes cross-products only, however many columns are tried.
+A new column may be nearly collinear with others: a slow ripple looks like gravity. So
+its gain is found together with all other terms at all joints. That needs cross-products
+only, so many columns can be tried.
 
 Source: Frisch and Waugh 1933, doi 10.2307/1907330; Liang and Zeger 1986,
-doi 10.1093/biomet/73.1.13 (noise that is alike within blocks).
+doi 10.1093/biomet/73.1.13 (noise that is correlated within blocks).
 """
 
 from __future__ import annotations
@@ -24,32 +24,31 @@ from hybrid.regression.least_squares import pseudo_inverse
 
 @dataclass(frozen=True)
 class PartialRegression:
-    """New columns of one joint, judged with all other terms fitted anew around them.
+    """The regression of one joint's residual on its columns and on a new pair of them.
 
     Attributes:
         others: Normal matrix and right side of the other joints on each fold, shapes
             (F, p, p) and (F, p), in units of this joint's variance.
-        support: Unknowns that move this joint, shape (d,).
+        support: Unknowns that change this joint's torque, shape (d,).
         columns: Their columns, shape (d, M).
-        left: What the present values leave, shape (M,), [N·m].
+        residual: Residual of the present values, shape (M,), [N·m].
     """
 
     others: tuple[Array, Array]
     support: NDArray[np.intp]
     columns: Array
-    left: Array
+    residual: Array
 
     @classmethod
     def of(cls, solution: Solution, joint: int, rows: Array) -> PartialRegression:
-        """All terms of a solution.
+        """The regression about the values of a solution.
 
         Args:
-            solution: The terms so far, on all joints.
+            solution: The present terms of all joints.
             joint: The joint that a new column acts on.
-            rows: Its columns, and what the solution leaves of its torque last,
-                shape (d + 1, M).
+            rows: Its columns, then the residual of the solution, shape (d + 1, M).
         """
-        products, theta = solution.products, solution.settled.theta
+        products, theta = solution.products, solution.weighted.theta
         variance = np.diag(solution.sigma)
         weight = np.diag(variance[joint] / np.maximum(variance, 1e-300))
         weight[joint, joint] = 0.0
@@ -62,7 +61,7 @@ class PartialRegression:
         return cls((np.array(A), np.array(b)), support, rows[:-1], rows[-1])
 
     def with_wave(self, wave: Array) -> PartialRegression:
-        """The same with a wave, shape (2, M), at its best gains among the terms."""
+        """The same with one more pair of columns, shape (2, M), at its best gains."""
         A, b = self.others
         size = A.shape[1]
         return replace(
@@ -73,60 +72,75 @@ class PartialRegression:
             ),
             support=np.append(self.support, [size, size + 1]),
             columns=np.concatenate([self.columns, wave]),
-            left=self.left - self._gains(wave)[0] @ wave,
+            residual=self.residual - self._fitted(wave)[0] @ wave,
         )
 
-    def _gains(self, wave: Array) -> tuple[Array, Array, Array, Array]:
-        """Gains of a wave, its own part, its normal matrix, and what it leaves."""
-        S, theta, asked = self._inverse(
-            np.ones(len(self.others[0]), dtype=bool), self.columns, self.left
+    def _fitted(self, wave: Array) -> tuple[Array, Array, Array, Array]:
+        """Gains of a pair of columns with all other terms fitted again.
+
+        Returns:
+            Gains, shape (2,), the pair orthogonalised to the other columns, shape
+            (2, M), the normal matrix of the gains, and the residual, shape (M,).
+        """
+        S, theta, coupling = self._inverse(
+            np.ones(len(self.others[0]), dtype=bool), self.columns, self.residual
         )
-        alike = wave @ self.columns.T @ S
-        own = wave - alike @ self.columns
-        H = own @ wave.T + _ridge(wave @ wave.T)
-        before = self.left - theta @ self.columns
-        gains: Array = np.asarray(np.linalg.solve(H, own @ before - alike @ asked))
-        return gains, own, H, before - gains @ own
+        projection = wave @ self.columns.T @ S
+        orthogonal = wave - projection @ self.columns
+        H = orthogonal @ wave.T + _ridge(wave @ wave.T)
+        before = self.residual - theta @ self.columns
+        gains: Array = np.asarray(
+            np.linalg.solve(H, orthogonal @ before - projection @ coupling)
+        )
+        return gains, orthogonal, H, before - gains @ orthogonal
 
     def _inverse(
         self, chosen: NDArray[np.bool_], D: Array, y: Array
     ) -> tuple[Array, Array, Array]:
-        """Of its unknowns, without a wave.
+        """The regression without new columns.
+
+        Args:
+            chosen: Folds of the other joints to use, shape (F,).
+            D: Columns of this joint, shape (d, M).
+            y: Residual of this joint, shape (M,).
 
         Returns:
-            Inverse normal matrix, optimum, and what other joints would have besides.
+            Inverse normal matrix and optimum of this joint's unknowns, and the gradient
+            of the other joints there.
         """
         A, b = (x[chosen].sum(axis=0) for x in self.others)
         here = np.ix_(self.support, self.support)
-        whole, moment = A.copy(), b.copy()
-        whole[here] += D @ D.T
+        normal, moment = A.copy(), b.copy()
+        normal[here] += D @ D.T
         moment[self.support] += D @ y
-        inverse = pseudo_inverse(whole)
+        inverse = pseudo_inverse(normal)
         theta = inverse @ moment
-        asked = (b - A @ theta)[self.support]
-        return inverse[here], theta[self.support], asked
+        coupling = (b - A @ theta)[self.support]
+        return inverse[here], theta[self.support], coupling
 
     def cross_validated(
         self, waves: Array, fold: NDArray[np.intp]
     ) -> tuple[Array, Array]:
-        """Squares on each fold by terms from the others.
+        """Squared residuals on each fold by a fit on the other folds.
 
         Args:
             waves: Pairs of columns, shape (K, 2, M).
             fold: Fold of each sample, shape (M,).
 
         Returns:
-            Squares without a wave, shape (F,), and with each, shape (K, F), [N²·m²].
+            Squares without a new pair, shape (F,), and with each, shape (K, F),
+            [N²·m²].
         """
         folds = len(self.others[0])
         parts = [
-            _Sums.of(waves, self.columns, self.left, fold == k) for k in range(folds)
+            _Sums.of(waves, self.columns, self.residual, fold == k)
+            for k in range(folds)
         ]
         before, after = [], []
         for k, held in enumerate(parts):
             rest = fold != k
             S, theta, _ = self._inverse(
-                np.arange(folds) != k, self.columns[:, rest], self.left[rest]
+                np.arange(folds) != k, self.columns[:, rest], self.residual[rest]
             )
             B, G, c = (
                 sum(getattr(x, name) for x in parts) - getattr(held, name)
@@ -139,29 +153,30 @@ class PartialRegression:
             after.append(held.squares(theta - (SB @ gains)[..., 0], gains[..., 0]))
         return np.array(before), np.stack(after, axis=1)
 
-    def shows(self, wave: Array, block: NDArray[np.intp], chance: float) -> bool:
-        """Whether the gains of a wave differ from zero by more than noise makes them.
+    def is_significant(
+        self, wave: Array, block: NDArray[np.intp], chance: float
+    ) -> bool:
+        """F-test: whether the gains of a pair of columns differ from zero.
 
         Args:
             wave: Pair of columns, shape (2, M).
-            block: Block of each sample; noise may be alike within, shape (M,).
-            chance: How often noise alone may pass.
+            block: Block of each sample, shape (M,); noise may be correlated within one.
+            chance: Probability that noise alone passes.
         """
-        gains, own, H, rest = self._gains(wave)
+        gains, orthogonal, H, rest = self._fitted(wave)
         _, label = np.unique(block, return_inverse=True)
-        scores = np.array([np.bincount(label, weights=x * rest) for x in own])
+        scores = np.array([np.bincount(label, weights=x * rest) for x in orthogonal])
         count = scores.shape[1]
-        spread = scores @ scores.T * count / max(count - 1, 1)
-        if np.linalg.matrix_rank(spread, hermitian=True) < len(spread):
-            return False  # too few blocks, or the other terms explain the wave whole
-        ratio = (H @ gains) @ np.linalg.solve(spread, H @ gains) / 2
-        allowed = fdtri(2, max(count - 2, 1), 1 - chance)
-        return bool(ratio > allowed)
+        covariance = scores @ scores.T * count / max(count - 1, 1)
+        if np.linalg.matrix_rank(covariance, hermitian=True) < len(covariance):
+            return False  # too few blocks, or collinear with the other terms
+        ratio = (H @ gains) @ np.linalg.solve(covariance, H @ gains) / 2
+        return bool(ratio > fdtri(2, max(count - 2, 1), 1 - chance))
 
 
 @dataclass(frozen=True)
 class _Sums:
-    """Cross-products on some samples of waves w, columns D and what is left y."""
+    """Cross-products of pairs w, columns D and residual y on some samples."""
 
     B: Array  # w Dᵀ, shape (K, 2, d)
     G: Array  # w wᵀ, shape (K, 2, 2)
@@ -179,17 +194,17 @@ class _Sums:
         return cls(B, G, c, D @ D.T, D @ y, float(y @ y))
 
     def squares(self, theta: Array, gains: Array) -> Array:
-        """Sum of squares that terms (K or 1, d) and gains (K or 1, 2) leave."""
+        """Squared residuals of terms (K or 1, d) and gains (K or 1, 2)."""
         theta, gains = np.atleast_2d(theta), np.atleast_2d(gains)
-        left = (
+        residual = (
             self.power - 2 * (theta @ self.h) + ((theta @ self.P) * theta).sum(axis=1)
         )
         wave = -2 * self.c + 2 * (self.B @ theta[:, :, None])[..., 0]
         wave = wave + (self.G @ gains[:, :, None])[..., 0]
-        return np.asarray(left + (wave * gains).sum(axis=1))
+        return np.asarray(residual + (wave * gains).sum(axis=1))
 
 
 def _ridge(G: Array) -> Array:
-    """A trace of the waves' power, for those that the other terms explain whole."""
+    """A small multiple of the power, which keeps collinear pairs solvable."""
     power = np.trace(G, axis1=-2, axis2=-1)[..., None, None]
     return np.asarray((1e-6 * power + 1e-12) * np.eye(2))

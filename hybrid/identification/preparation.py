@@ -1,4 +1,4 @@
-"""Logs -> data of a fit: checked, filtered, dealt into folds, at the best cut-off."""
+"""Preparation of logs for a fit: checks, filter, cut-off, cross-validation folds."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from hybrid.identification.data import FOLDS, Data, fastest
 from hybrid.inspect import check_recordings
 from hybrid.model.declared import declared_effects
 from hybrid.recording import Recording
-from hybrid.regression.cross_products import CrossProducts
-from hybrid.regression.least_squares import OUTLYING, settle, without_folds
+from hybrid.regression.least_squares import OUTLYING, solve_weighted, without_folds
 from hybrid.regression.problem import build_problem, part
 from hybrid.robot import Robot
 from hybrid.signals import (
@@ -36,39 +35,39 @@ from hybrid.signals import (
 )
 
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
-_WORKING_RATE = 12.5  # of the cut-off: three times what positions can hold
-_ALIAS_FREE = 5.0  # of the cut-off: torque below passes, torque above 6 does not
+_WORKING_RATE = 12.5  # of the cut-off: sampling rate of the decimated motions
+_ALIAS_FREE = 5.0  # of the cut-off: torque below this is kept, above 6 is removed
 STANDING = 0.01  # of the highest speed
-FEWEST_PERIODS = 3.0  # of the cut-off in a recording: its edges take 2.3 of them
-_HIDDEN = 0.05  # relative fall of the error that is worth half of the bandwidth
-_MOST_HALVINGS = 3  # of the cut-off that the spectrum of positions suggests
+FEWEST_PERIODS = 3.0  # of the cut-off in a recording; filter edges take 2.3 of them
+_WORTH_HALVING = 0.05  # relative fall of the error from which the cut-off is halved
+_MOST_HALVINGS = 3  # of the cut-off from the spectrum of the positions
 
 
 def prepare_motions(
     robot: Robot, recordings: Sequence[Recording | Motion], cutoff: float | None
 ) -> tuple[list[Motion], float]:
-    """Check, filter and differentiate recordings; motions pass as they are.
+    """Check, filter and differentiate recordings; motions are not changed.
 
     Args:
         robot: The arm.
-        recordings: Logs of it, or motions made from such.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
+        recordings: Logs of the arm, or motions made from logs.
+        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
 
     Returns:
-        Motions at full rate and the cut-off.
+        Motions at full rate, and the cut-off.
 
     Raises:
         IdentificationError: There is no recording, or the cut-off is too low for the
-            shortest.
+            shortest one.
         RecordingError: A recording does not fit the arm.
     """
-    return motions_of(taken(robot, recordings), cutoff)
+    return motions_from_logs(checked_logs(robot, recordings), cutoff)
 
 
-def taken(
+def checked_logs(
     robot: Robot, recordings: Sequence[Recording | Motion]
 ) -> list[Recording | Motion]:
-    """Check logs (see :func:`check_recordings`); motions pass as they are."""
+    """Check logs, see :func:`check_recordings`; motions are not checked."""
     if not recordings:
         raise IdentificationError("no recording given; at least one is needed")
     logs: list[Recording | Motion] = []
@@ -77,12 +76,12 @@ def taken(
     return logs
 
 
-def motions_of(
+def motions_from_logs(
     logs: Sequence[Recording | Motion],
     cutoff: float | None,
     speeds: Sequence[SpeedCheck | None] = (),
 ) -> tuple[list[Motion], float]:
-    """Filter and differentiate logs that were checked; see :func:`prepare_motions`."""
+    """Filter and differentiate checked logs; see :func:`prepare_motions`."""
     if cutoff is None:
         chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
         cutoff = float(np.median(chosen)) if chosen else np.inf
@@ -108,20 +107,23 @@ def prepare(
     highest: float | None = None,
     speeds: Sequence[SpeedCheck | None] = (),
 ) -> Data:
-    """Deal motions into folds for cross-validation.
+    """Data of a fit, with cross-validation folds.
 
-    Whole recordings make the folds where there are four or more, else the quarters of
-    each: neighbouring samples are too alike to score on, and a model has to hold on
-    motions that it has not seen.
+    Four or more recordings are assigned to folds as a whole; of fewer, each is cut into
+    quarters. Neighbouring samples are too similar to validate on, and a model must hold
+    on motions that it has not seen.
 
     Args:
-        logs: Logs that were checked, see :func:`taken`, or motions made from such.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum if not given.
-        highest: Cut-off for which motions are thinned, [Hz]; the same if not given.
-        speeds: What the measured speed of each log is worth, if that is known.
+        logs: Checked logs, see :func:`checked_logs`, or motions made from them.
+        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
+        highest: Cut-off for which motions are decimated, [Hz]; ``cutoff`` by default.
+        speeds: Check of the measured speed of each log, if it was done before.
+
+    Raises:
+        IdentificationError: Every sample is masked, or the cut-off is too low.
     """
-    motions, cutoff = motions_of(logs, cutoff, speeds)
-    motions = [thinned(m, highest or cutoff) for m in motions if m.mask.any()]
+    motions, cutoff = motions_from_logs(logs, cutoff, speeds)
+    motions = [decimated_motion(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
     standing = STANDING * fastest(motions)
@@ -133,17 +135,17 @@ def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]
     for r, motion in enumerate(motions):
         if len(motions) >= FOLDS:
             found.append(np.full(len(motion.t), r % FOLDS))
-        else:  # quarters of the motion, not of the rest before and after it
+        else:  # quarters of the moving samples, not of the standstill around them
             moves = np.any(np.abs(motion.v) > standing, axis=1) & motion.mask
             found.append(FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
     return found
 
 
-def thinned(motion: Motion, cutoff: float) -> Motion:
-    """A motion at about a dozen samples a period of the cut-off.
+def decimated_motion(motion: Motion, cutoff: float) -> Motion:
+    """Decimate a motion to about twelve samples in a period of the cut-off.
 
-    Positions hold nothing above twice the cut-off, so laws of them lose nothing; torque
-    loses what is above five times the cut-off, where no smooth law has much.
+    Positions are filtered at twice the cut-off, so they lose nothing. The torque loses
+    what is above five times the cut-off.
 
     Args:
         motion: Motion at its full rate.
@@ -157,9 +159,9 @@ def thinned(motion: Motion, cutoff: float) -> Motion:
 
 
 def linear_effects(robot: Robot) -> list[Effect]:
-    """Rotor, offset and linear friction of every joint, and what else its file has.
+    """Rotor, offset and linear friction of every joint, and other effects of its file.
 
-    The preload of a spring is the offset of its joint.
+    A joint with a spring gets no offset: that is the preload of the spring.
     """
     classes = (Armature, TorqueOffset, Coulomb, Viscous)
     sprung = np.flatnonzero(robot.stiffness)
@@ -174,24 +176,18 @@ def linear_effects(robot: Robot) -> list[Effect]:
     return [*usual, *(type(e)(e.joints) for e in found)]
 
 
-def prepared(
+def prepare_at_best_cutoff(
     robot: Robot,
     logs: Sequence[Recording | Motion],
     extra: Sequence[Effect],
     robust: bool,
 ) -> Data:
-    """Recordings at the cut-off whose plain model predicts unseen torque best.
+    """Data at the cut-off with which a linear model predicts held-out torque best.
 
-    The spectrum of positions says up to where they hold motion. Torque may be noisy
-    sooner, and friction chatters where speeds do: the cut-off is halved while that
-    lowers the held-out error of weighted least squares, at the rate of the log, by more
-    than what it hides of friction may be worth.
-
-    Args:
-        robot: The arm.
-        logs: Logs that were checked, or motions made from them, which keep their own.
-        extra: Effects of the user.
-        robust: Weigh down stretches that do not fit.
+    The first cut-off comes from the spectrum of the positions. Torque may be noisy at
+    lower frequencies, and dry friction is noisy where the speed is. So the cut-off is
+    halved while that lowers the held-out error of weighted least squares by more than
+    the friction which it hides may be worth.
     """
     problem = build_problem(robot.chain, (*linear_effects(robot), *extra))
     speeds = [
@@ -209,24 +205,19 @@ def prepared(
         if halvings:
             data = prepare(logs, cutoff, highest=highest, speeds=speeds)
         products = data.products(problem)
-        found = settle(products, "wls", robust=robust)
+        found = solve_weighted(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)
-        error = np.sqrt(total(scored(products, theta), robust) / data.moving)
+        squares = summed_squares(products.held_out_squares(theta), robust)
+        error = np.sqrt(squares / data.moving)
         level = float(np.log(np.maximum(error, 1e-300)).mean())
-        if level > least - _HIDDEN:
+        if level > least - _WORTH_HALVING:
             break
         best, least = data, level
     return best
 
 
-def total(squares: Array, robust: bool) -> Array:
+def summed_squares(squares: Array, robust: bool) -> Array:
     """Sum of squares over blocks, shape (n,); if robust, outlying blocks count less."""
     if robust:
         squares = np.minimum(squares, OUTLYING * np.median(squares, axis=0))
     return np.asarray(squares.sum(axis=0))
-
-
-def scored(products: CrossProducts, theta: Array) -> Array:
-    """Held-out squares of each block by solutions without each fold, (F, p)."""
-    assert products.scores is not None
-    return products.scores.squares(theta)

@@ -1,4 +1,4 @@
-"""Stage three: learn what is left, joint by joint, where that helps."""
+"""Learn the remainder of each joint's torque, where that lowers the held-out error."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.identification.data import Data, Rest
+from hybrid.identification.data import Data, Residual
 from hybrid.identification.gate import lowers
 
 _FEWEST_SAMPLES = 200
-_WORTH = 0.01  # least relative fall of squares for anything to be learned
+_LEAST_FALL = 0.01  # of the squared residuals, relative, for inputs to be of use
 _COMPONENTS = (2, 4, 8, 16)
 _FEATURES = 48
 _RIDGES = (1e-5, 1e-3, 1e-1)  # of the squares of a feature
-_MOST_SAMPLES = 3000  # of a fit that only scores; the final one takes what it needs
+_MOST_SAMPLES = 3000  # of a fit that is only used for a score
 
-Inputs = tuple[tuple[int, ...], tuple[int, ...]]  # joints whose q and v are looked at
+Inputs = tuple[tuple[int, ...], tuple[int, ...]]  # joints of the positions, the speeds
 
 
 @dataclass(frozen=True)
 class Learned:
-    """A remainder and what it does on folds it was not fitted on.
+    """A learned remainder and its predictions on held-out folds.
 
     Attributes:
         remainder: Fitted on all samples.
-        cross: Torque of the regressions that left each sample's fold out, shape (N, n)
-            for each motion, [N·m].
-        squares: Held-out squares with it, shape (B, n), [N²·m²].
+        cross: Cross-validated torque: that of the regression without the fold of each
+            sample, shape (N, n) for each motion, [N·m].
+        squares: Held-out squares with the remainder, shape (B, n), [N²·m²].
     """
 
     remainder: ArmRemainder
@@ -42,75 +42,75 @@ class Learned:
 
 def fit_remainder(
     data: Data,
-    left: Sequence[Array],
+    held_out: Sequence[Array],
     *,
     among: ArmRemainder | None = None,
     bound: Array | float = np.inf,
     seed: int = 0,
 ) -> Learned:
-    """A Gaussian-mixture regression for each joint that gains from one.
+    """Fit a Gaussian-mixture regression at each joint whose held-out error it lowers.
 
-    Each joint is offered its own position and speed, then its neighbours' too. Ridge
-    regression on smooth features of them tells at little cost whether they hold
-    anything, and which hold most; on these the regression is learned.
+    The candidate inputs are the joint's own position and speed, then also those of its
+    neighbours. Ridge regression on smooth features selects the inputs at little cost;
+    the mixture is then fitted to those.
 
     Args:
         data: Motions with folds.
-        left: What the physical terms leave on folds that they were not fitted on, shape
-            (N, n) for each motion, [N·m].
-        among: Try only the joints and inputs of this remainder.
-        bound: Largest torque that may be learned, shape (n,), [N·m]. It is never
-            larger than the largest that is left.
-        seed: Seed of the starts.
+        held_out: Held-out residual of the physical terms, shape (N, n) for each motion,
+            [N·m].
+        among: Use only the joints and inputs of this remainder.
+        bound: Largest learned torque, shape (n,), [N·m]. It is never larger than the
+            largest residual.
+        seed: Seed of the mixtures' initial values.
     """
-    n = left[0].shape[1]
-    rest, parts = data.sampled(left), []
-    cross = [np.zeros_like(x) for x in left]
-    before = data.squares(left)
+    n = held_out[0].shape[1]
+    residual, parts = data.decimated(held_out), []
+    cross = [np.zeros_like(x) for x in held_out]
+    before = data.squares(held_out)
     offered = {j: _candidates(j, n) for j in range(n)}
     if among is not None:
         offered = {p.joint: [(p.positions, p.speeds)] for p in among.parts}
     limits = np.broadcast_to(bound, n)
     for joint, candidates in offered.items():
-        inputs = _most_telling(rest, joint, candidates)
+        inputs = _best_inputs(residual, joint, candidates)
         if inputs is None:
             continue
-        fitting = _Fitting(rest, joint, inputs, float(limits[joint]), seed)
-        predicted = fitting.cross(data)
+        fitting = _Fitting(residual, joint, inputs, float(limits[joint]), seed)
+        predicted = fitting.cross_validated(data)
         if predicted is None:
             continue
-        less = [x.copy() for x in left]
-        for x, known in zip(less, predicted, strict=True):
+        corrected = [x.copy() for x in held_out]
+        for x, known in zip(corrected, predicted, strict=True):
             x[:, joint] -= known
-        if lowers(before, data.squares(less), tried=len(candidates))[joint]:
+        if lowers(before, data.squares(corrected), tried=len(candidates))[joint]:
             parts.append(fitting.part(None))
             for x, known in zip(cross, predicted, strict=True):
                 x[:, joint] = known
-    after = data.squares([x - y for x, y in zip(left, cross, strict=True)])
+    after = data.squares([x - y for x, y in zip(held_out, cross, strict=True)])
     return Learned(ArmRemainder(n, tuple(parts)), cross, after)
 
 
-def _most_telling(
-    rest: Rest, joint: int, candidates: Sequence[Inputs]
+def _best_inputs(
+    residual: Residual, joint: int, candidates: Sequence[Inputs]
 ) -> Inputs | None:
     """Inputs whose smooth functions lower the held-out squares most, if any do."""
-    use = rest.moving[:, joint]
-    y, fold = rest.tau[use, joint], rest.fold[use]
-    best, chosen = (1 - _WORTH) * float(y @ y), None
+    use = residual.moving[:, joint]
+    y, fold = residual.tau[use, joint], residual.fold[use]
+    best, chosen = (1 - _LEAST_FALL) * float(y @ y), None
     for inputs in candidates:
-        left = _smooth_left(_inputs(rest, inputs)[use], y, fold)
-        if left < best:
-            best, chosen = left, inputs
+        error = _ridge_error(_inputs(residual, inputs)[use], y, fold)
+        if error < best:
+            best, chosen = error, inputs
     return chosen
 
 
-def _inputs(rest: Rest, inputs: Inputs) -> Array:
+def _inputs(residual: Residual, inputs: Inputs) -> Array:
     positions, speeds = inputs
-    return np.concatenate([rest.q[:, positions], rest.v[:, speeds]], axis=1)
+    return np.concatenate([residual.q[:, positions], residual.v[:, speeds]], axis=1)
 
 
-def _smooth_left(x: Array, y: Array, fold: NDArray[np.intp]) -> float:
-    """Held-out squares that ridge regression on random Fourier features leaves.
+def _ridge_error(x: Array, y: Array, fold: NDArray[np.intp]) -> float:
+    """Held-out squares of ridge regression on random Fourier features.
 
     Source: Rahimi and Recht 2007, "Random features for large-scale kernel machines".
     """
@@ -122,14 +122,14 @@ def _smooth_left(x: Array, y: Array, fold: NDArray[np.intp]) -> float:
     F = np.cos(x @ rng.standard_normal((x.shape[1], _FEATURES)) + phase)
     parts = [np.column_stack([F, y])[fold == k] for k in np.unique(fold)]
     sums = np.array([p.T @ p for p in parts])
-    left = np.zeros(len(_RIDGES))
+    squares = np.zeros(len(_RIDGES))
     for S in sums:
         T = sums.sum(axis=0) - S
         for k, ridge in enumerate(_RIDGES):
             A = T[:-1, :-1] + ridge * len(y) * np.eye(_FEATURES)
             c = np.append(-np.linalg.solve(A, T[:-1, -1]), 1.0)
-            left[k] += c @ S @ c
-    return float(left.min())
+            squares[k] += c @ S @ c
+    return float(squares.min())
 
 
 def _candidates(joint: int, n: int) -> list[Inputs]:
@@ -140,27 +140,27 @@ def _candidates(joint: int, n: int) -> list[Inputs]:
 
 @dataclass
 class _Fitting:
-    """How one joint's remainder is fitted.
+    """Fits the remainder of one joint.
 
     Attributes:
-        rest: What is left.
+        residual: Residual of all joints.
         joint: The joint.
-        inputs: What is looked at.
-        bound: Largest torque that may be learned, [N·m].
-        seed: Seed of the starts.
-        components: Those of a mixture, once the first one has chosen.
+        inputs: Inputs of the regression.
+        bound: Largest learned torque, [N·m].
+        seed: Seed of the initial values.
+        components: Number of mixture components, which the first fit selects.
     """
 
-    rest: Rest
+    residual: Residual
     joint: int
     inputs: Inputs
     bound: float
     seed: int
     components: int | None = None
 
-    def cross(self, data: Data) -> list[Array] | None:
-        """Torque at each sample by a regression that left its fold out."""
-        fold, moving = self.rest.fold, self.rest.moving[:, self.joint]
+    def cross_validated(self, data: Data) -> list[Array] | None:
+        """Torque at each sample by a regression without its fold; None if too few."""
+        fold, moving = self.residual.fold, self.residual.moving[:, self.joint]
         predicted = [np.zeros(len(m.t)) for m in data.motions]
         for k in np.unique(fold):
             seen, held = (moving & (fold != k)).sum(), (moving & (fold == k)).sum()
@@ -175,10 +175,11 @@ class _Fitting:
         return predicted
 
     def part(self, left_out: int | None) -> JointRemainder:
-        """Fit on all folds but one, which chooses the size if none is known."""
-        x, y = _inputs(self.rest, self.inputs), self.rest.tau[:, self.joint, None]
-        moving = self.rest.moving[:, self.joint]
-        scoring = moving & (self.rest.fold == left_out)
+        """Fit on all folds but one, which selects the number of components at first."""
+        residual = self.residual
+        x, y = _inputs(residual, self.inputs), residual.tau[:, self.joint, None]
+        moving = residual.moving[:, self.joint]
+        scoring = moving & (residual.fold == left_out)
         fitting = moving & ~scoring
         choose = self.components is None and bool(scoring.any())
         regression = GaussianMixtureRegression.fit(

@@ -1,10 +1,9 @@
-"""Torque that repeats with a joint's position: which orders a residual holds.
+"""Search for torque ripple: the orders of a residual that repeat with the position.
 
-Every whole number of periods a turn is tried, as gears, cogging and eccentric shafts
-all repeat with the joint or with a motor that is geared to it in whole numbers. What
-each could explain alone follows from one Fourier transform of the residual over the
-position. A slow wave looks much like gravity: the best orders are judged with all other
-terms fitted anew.
+Gears, cogging and eccentric shafts repeat with the joint or with its motor, so every
+whole number of periods per turn is tried. One Fourier transform of the residual over
+the position shows how much each order could explain alone. A slow wave looks like
+gravity, so the best orders are tested with all other terms fitted again.
 """
 
 from __future__ import annotations
@@ -24,33 +23,27 @@ from hybrid.identification.solution import Solution
 from hybrid.regression.problem import part
 from hybrid.signals import Motion, Sampler, butterworth_gain
 
-_MOST_PERIODS = 400
-_MOST_RIPPLES = 4
-_SHORTLIST = 8  # orders judged exactly
-_SLOW = 8  # orders that may look like gravity, and are always judged exactly
-JUDGED = _SHORTLIST + _SLOW
+_MOST_PERIODS = 400  # in a turn
+_MOST_RIPPLES = 4  # of a joint
+_BEST_ORDERS = 8  # tested with all other terms
+_SLOW_ORDERS = 8  # lowest orders, always tested since they may look like gravity
+JUDGED = _BEST_ORDERS + _SLOW_ORDERS
 _BINS = 4096  # of position in a turn: ten for the shortest period
-_SPEEDS = 64  # bins of speed
-_FEWEST = 0.1  # of the moving samples have to show an order in band
-_FALSE_ALARMS = 0.01  # chance that one of all orders passes on a joint without ripple
-_BLOCK_SECONDS = 1.0  # apart for the scores of samples to be independent
-_MOST_SECONDS = 120.0  # of data to search; the gains are then found on all of it
+_SPEED_BINS = 64
+_FEWEST = 0.1  # of the moving samples that must have an order below the cut-off
+_FALSE_ALARMS = 0.01  # probability that an order passes on a joint without ripple
+_BLOCK_SECONDS = 1.0  # distance at which samples count as independent
+_MOST_SECONDS = 120.0  # of data to search; gains are then fitted to all data
 
 
-# Motion, joint and periods -> filtered sine and cosine of a ripple, shape (2, M).
+# (motion, joint, periods) -> filtered sine and cosine of a ripple, shape (2, M).
 Waves = dict[tuple[int, int, int], Array]
 
 
 def find_ripples(
     data: Data, solution: Solution, waves: Waves
 ) -> dict[int, list[Effect]]:
-    """Ripples of each joint that lower its error on unseen folds, strongest first.
-
-    Args:
-        data: Motions with folds.
-        solution: The physical terms so far.
-        waves: What was made of these data already; what is new is added.
-    """
+    """Ripples of each joint that lower its held-out error, strongest first."""
     pieces = enumerate(_pieces(data, solution, waves))
     found = {j: _ripples(j, own, solution, data.cutoff) for j, own in pieces}
     return {j: ripples for j, ripples in found.items() if ripples}
@@ -66,8 +59,10 @@ def _ripples(
     chance = _FALSE_ALARMS / _MOST_PERIODS
     found: list[Effect] = []
     while len(found) < _MOST_RIPPLES:
-        left = np.split(terms.left, np.cumsum([p.rows.shape[1] for p in pieces])[:-1])
-        periods = _shortlist(pieces, left, cutoff)
+        residual = np.split(
+            terms.residual, np.cumsum([p.rows.shape[1] for p in pieces])[:-1]
+        )
+        periods = _best_orders(pieces, residual, cutoff)
         if not len(periods):
             break
         ripples = [_ripple(joint, int(k), pieces, cutoff) for k in periods]
@@ -75,7 +70,8 @@ def _ripples(
         before, after = terms.cross_validated(waves, fold)
         best = int(after.sum(axis=1).argmin())
         if not (
-            after[best].sum() < before.sum() and terms.shows(waves[best], block, chance)
+            after[best].sum() < before.sum()
+            and terms.is_significant(waves[best], block, chance)
         ):
             break
         terms = terms.with_wave(waves[best])
@@ -84,12 +80,7 @@ def _ripples(
 
 
 def in_band(effect: Effect, cutoff: float) -> Effect:
-    """A ripple that acts only where a fit below a cut-off sees it.
-
-    Args:
-        effect: The ripple.
-        cutoff: Cut-off of columns and torque, [Hz].
-    """
+    """A ripple limited to speeds at which its frequency is below a cut-off."""
     highest = 2 * np.pi * cutoff / effect.values["periods"]
     return effect.at({"fastest": min(effect.values["fastest"], highest)})
 
@@ -99,15 +90,15 @@ class _Piece:
     """Moving samples of a joint in one motion.
 
     Attributes:
-        number: Which of the motions.
-        motion: It, at the rate the fit works at.
+        number: Index of the motion.
+        motion: The motion.
         joint: The joint.
         sampler: Filter and decimation.
-        use: Which decimated samples the following are.
-        rows: Columns of the joint, and what the solution leaves last, (d + 1, M).
+        use: Which of the decimated samples are used: the M moving ones.
+        rows: Columns of the joint, then the residual of the solution, (d + 1, M).
         fold: Fold of each sample, shape (M,).
         block: Block in time of each sample, shape (M,).
-        known: Waves made already.
+        cache: Filtered columns computed before.
     """
 
     number: int
@@ -118,7 +109,7 @@ class _Piece:
     rows: Array
     fold: NDArray[np.intp]
     block: NDArray[np.intp]
-    known: Waves
+    cache: Waves
 
     @property
     def q(self) -> Array:
@@ -135,24 +126,24 @@ class _Piece:
         zero = np.zeros_like(self.q)
         state = JointState(zero, self.q, self.v, zero, zero, zero)
         keys = [(self.number, self.joint, int(x.values["periods"])) for x in ripples]
-        new = {k: x for k, x in zip(keys, ripples, strict=True) if k not in self.known}
+        new = {k: x for k, x in zip(keys, ripples, strict=True) if k not in self.cache}
         if new:
             pairs = [TorqueRipple.law(state, **x.shape_values) for x in new.values()]
             made = self.sampler(np.array(pairs), axis=2)[:, :, self.use]
-            self.known.update(zip(new, made, strict=True))
-        return np.stack([self.known[k] for k in keys])
+            self.cache.update(zip(new, made, strict=True))
+        return np.stack([self.cache[k] for k in keys])
 
-    def spread(self, left: Array) -> Array:
-        """What is left, back at the rate of the motion and filtered again, (N,)."""
+    def refiltered(self, residual: Array) -> Array:
+        """A residual at the rate of the motion, filtered again, shape (N,)."""
         full = np.zeros(len(self.q))
         few = full[:: self.sampler.factor]
-        few[self.use] = left
+        few[self.use] = residual
         return replace(self.sampler, factor=1)(full)
 
 
 def _pieces(data: Data, solution: Solution, waves: Waves) -> list[list[_Piece]]:
-    """What concerns each joint, of every motion."""
-    problem, theta = solution.problem, solution.settled.theta
+    """The moving samples of every motion, for each joint."""
+    problem, theta = solution.problem, solution.weighted.theta
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
     found: list[list[_Piece]] = [[] for _ in range(problem.chain.size)]
     for r, (motion, fold) in enumerate(zip(data.motions, data.folds, strict=True)):
@@ -186,36 +177,36 @@ def _pieces(data: Data, solution: Solution, waves: Waves) -> list[list[_Piece]]:
 def _ripple(
     joint: int, periods: int, pieces: Sequence[_Piece], cutoff: float
 ) -> TorqueRipple:
-    """A ripple that acts as fast as was seen, as far as the samples can show it."""
+    """A ripple that acts up to the highest speed that the sampling rate can resolve."""
     rate = min(p.motion.rate for p in pieces)
     fastest = max(float(np.abs(p.v).max()) for p in pieces)
-    # Faster ones would be taken for others at the rate of the samples.
+    # Above this speed the samples would alias.
     shown = 2 * np.pi * max(rate / 2 - cutoff, cutoff) / periods
     values = {"periods": float(periods), "fastest": min(fastest, shown)}
     return TorqueRipple((joint,), values)
 
 
-def _shortlist(
-    pieces: Sequence[_Piece], left: Sequence[Array], cutoff: float
+def _best_orders(
+    pieces: Sequence[_Piece], residual: Sequence[Array], cutoff: float
 ) -> NDArray[np.intp]:
-    """Orders that could explain most, each alone, of those that enough samples show."""
+    """Orders that explain most alone, of those in band, and the slow ones in band."""
     periods = np.arange(1, _MOST_PERIODS + 1)
     spectrum, seen, samples = np.zeros(_MOST_PERIODS), np.zeros(_MOST_PERIODS), 0
     total = np.zeros(_BINS)
-    for piece, x in zip(pieces, left, strict=True):
+    for piece, x in zip(pieces, residual, strict=True):
         at = np.floor(piece.q / (2 * np.pi) * _BINS).astype(int) % _BINS
-        total += np.bincount(at, weights=piece.spread(x), minlength=_BINS)
+        total += np.bincount(at, weights=piece.refiltered(x), minlength=_BINS)
         speed = np.abs(piece.v[:: piece.sampler.factor][piece.use])
-        count, edges = np.histogram(speed, bins=_SPEEDS)
+        count, edges = np.histogram(speed, bins=_SPEED_BINS)
         frequency = periods[:, None] * (edges[1:] + edges[:-1]) / (4 * np.pi)
         gain = butterworth_gain(frequency, rate=piece.motion.rate, cutoff=cutoff)
         seen += gain**2 @ count
         samples += len(speed)
     spectrum = np.abs(np.fft.rfft(total)[1 : _MOST_PERIODS + 1]) ** 2
     worth = np.where(seen > _FEWEST * samples, spectrum / np.maximum(seen, 1e-300), 0.0)
-    # What noise explains is exponential over the orders: the best of all by chance.
+    # The power of noise is exponentially distributed: compare with its mean maximum.
     noise = np.median(worth[worth > 0]) / np.log(2) if worth.any() else 0.0
-    best = np.argsort(-worth)[:_SHORTLIST]
+    best = np.argsort(-worth)[:_BEST_ORDERS]
     best = best[worth[best] > np.log(_MOST_PERIODS) * noise]
-    slow = np.flatnonzero(seen[:_SLOW] > _FEWEST * samples)
+    slow = np.flatnonzero(seen[:_SLOW_ORDERS] > _FEWEST * samples)
     return np.asarray(periods[np.union1d(best, slow)])

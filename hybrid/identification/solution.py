@@ -1,4 +1,4 @@
-"""Physical terms solved on all samples, and scored fold by fold."""
+"""The solution of the physical terms, with its held-out error."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from hybrid.effects import Effect
 from hybrid.identification.data import Data, visited
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.cross_products import CrossProducts
-from hybrid.regression.intervals import Estimate, estimated
-from hybrid.regression.least_squares import Settled, residual_covariance
+from hybrid.regression.intervals import Estimate, with_uncertainty
+from hybrid.regression.least_squares import WeightedSolution, residual_covariance
 from hybrid.regression.prior import Prior
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
@@ -28,10 +28,9 @@ class Solution:
     Attributes:
         data: The motions.
         products: Their cross-products.
-        settled: Their values and weights on all samples.
-        prior: What was known beforehand, or None.
-        bounded: Whether gains kept at their physical side.
-        theta: Their values without each fold, shape (F, p).
+        weighted: The solution on all samples, with its weights.
+        prior: Prior of the unknowns, or None.
+        theta: Solutions without each fold, shape (F, p).
         squares: Held-out squares of each block, unfiltered, shape (B, n), [N²·m²].
         inertial: Physically consistent links that give these values, shape (n, 10),
             or None.
@@ -39,9 +38,8 @@ class Solution:
 
     data: Data
     products: CrossProducts
-    settled: Settled
+    weighted: WeightedSolution
     prior: Prior | None
-    bounded: bool
     theta: Array
     squares: Array
     inertial: Array | None = None
@@ -53,32 +51,35 @@ class Solution:
 
     @cached_property
     def estimate(self) -> Estimate:
-        """The values and how sure they are, over blocks and over whole folds.
+        """The values with their uncertainty.
 
-        Folds are other motions, or other logs: where they scatter more than the blocks
-        within them let expect, all variances are larger by as much. A gain that was
-        left at zero might have been taken on another log: it is an unknown here.
+        Folds are different motions or logs. If the solutions without each fold scatter
+        more than the blocks predict, all variances are increased by that ratio. Gains
+        that the data have set to zero are unknowns here, so that the covariance
+        includes the uncertainty of that choice.
         """
         whole = self.problem.complete()
-        among = self.products if whole is self.problem else self.data.products(whole)
-        found = estimated(self.products, self.settled, prior=self.prior, among=among)
+        complete = self.products if whole is self.problem else self.data.products(whole)
+        found = with_uncertainty(
+            self.products, self.weighted, prior=self.prior, complete=complete
+        )
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)
         known = (scatter > 0) & (found.std > 0)
         if not known.any():
             return found
-        more = max(1.0, float(np.mean(scatter[known] / found.std[known] ** 2)))
-        return replace(found, covariance=more * found.covariance)
+        ratio = max(1.0, float(np.mean(scatter[known] / found.std[known] ** 2)))
+        return replace(found, covariance=ratio * found.covariance)
 
     @cached_property
     def sigma(self) -> Array:
         """Residual covariance across joints, shape (n, n), [N²·m²]."""
-        return residual_covariance(self.products, self.settled.theta)
+        return residual_covariance(self.products, self.weighted.theta)
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """Effects with their values, the same objects whenever they are asked for."""
-        return self.problem.fitted(self.settled.theta)[1]
+        """Effects with their values; always the same objects."""
+        return self.problem.fitted(self.weighted.theta)[1]
 
     def model(
         self,
@@ -87,14 +88,14 @@ class Solution:
         *,
         sure: bool = True,
     ) -> DynamicModel:
-        """The terms as a model, its gains with their standard deviations.
+        """The terms as a model.
 
         Args:
             robot: The arm.
-            remainder: What was learned of the rest.
-            sure: Whether to say how sure the gains are.
+            remainder: The learned remainder.
+            sure: Whether gains get their standard deviations.
         """
-        base, effects = self.problem.fitted(self.settled.theta)
+        base, effects = self.problem.fitted(self.weighted.theta)
         std: list[dict[str, float]] = [{} for _ in effects]
         for unknown, e, g in self.problem.gains if sure else ():
             std[e][effects[e].gains[g].name] = float(self.estimate.std[unknown])
@@ -110,9 +111,9 @@ class Solution:
         )
 
 
-def to_be_found(effects: Sequence[Effect]) -> list[Effect]:
-    """Effects without their gains, but for those found by successive linearisation."""
+def with_zero_gains(effects: Sequence[Effect]) -> list[Effect]:
+    """Effects with gains of zero, except those found by successive linearisation."""
     return [
-        e if e.reports or e.observes else e.at({g.name: 0.0 for g in e.gains})
+        e if e.changes_signals else e.at({g.name: 0.0 for g in e.gains})
         for e in effects
     ]

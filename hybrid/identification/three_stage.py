@@ -1,7 +1,7 @@
 """Identification in three stages, iterated: rigid body, friction, learned remainder.
 
-Every stage must lower the error on samples that it was not fitted on; one that does not
-is left out, for the joint concerned or altogether, with a warning.
+Every stage must lower the held-out error. A stage that does not is left out, for one
+joint or for all, with a warning.
 """
 
 from __future__ import annotations
@@ -15,7 +15,11 @@ from hybrid.effects.registry import check_effects
 from hybrid.errors import HybridWarning, IdentificationError
 from hybrid.identification.fit import Fit
 from hybrid.identification.identification import Identification
-from hybrid.identification.preparation import prepare, prepared, taken
+from hybrid.identification.preparation import (
+    checked_logs,
+    prepare,
+    prepare_at_best_cutoff,
+)
 from hybrid.recording import Recording
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
 from hybrid.robot import Robot
@@ -42,22 +46,23 @@ def identify(
     """Identify the drive torque of an arm from logs of its joints.
 
     Args:
-        robot: The arm; its links, rotors and friction are a prior, as strong as helps.
-        recordings: Logs, or motions made from them whose masks leave samples out.
-        estimator: The last rung that may be taken of ``ls``, ``wls`` and ``irls``, the
-            one with the full covariance across joints.
-        stages: Which of the stages to run; ``rigid`` always does.
-        effects: More effects whose gains are to be found along with the rigid body.
-        cutoff: Cut-off of columns and torque, [Hz]; if not given, that of the spectrum
-            of positions or a half, a quarter, … of it, by the error on unseen samples.
-        robust: Weigh down stretches that do not fit (contacts, glitches).
-        consistent: Give the links parameters of bodies that could be built, as near
-            to the data as they can be; what the data leave open stays as the robot
-            file says. ``Fit.held_out`` shows what that costs.
-        seed: Seed of the mixtures' starts.
+        robot: The arm. Links, rotors and friction of its file are a prior, whose
+            strength is chosen by the held-out error.
+        recordings: Logs, or motions made from logs; masked samples are left out.
+        estimator: The last that may be used of ``ls``, ``wls`` (weights per joint) and
+            ``irls`` (full covariance across joints).
+        stages: Stages to run; ``rigid`` is always run.
+        effects: More effects, whose gains are identified with the rigid body.
+        cutoff: Cut-off of columns and torque, [Hz]. By default it comes from the
+            spectrum of the positions, halved while that lowers the held-out error.
+        robust: Give less weight to blocks that do not fit (contacts, glitches).
+        consistent: Make the links physically consistent, as near to the data as
+            possible; undetermined parameters keep the values of the robot file.
+            ``Fit.held_out`` shows the cost.
+        seed: Seed of the mixtures' initial values.
 
     Returns:
-        The model with covariance, held-out errors and what could not be told.
+        The model with covariance, held-out errors and undetermined parameters.
 
     Raises:
         IdentificationError: Unknown estimator or stage, a cut-off too low for the
@@ -71,23 +76,23 @@ def identify(
     """
     _check_choices(estimator, stages)
     check_effects(effects)
-    logs = taken(robot, recordings)
+    logs = checked_logs(robot, recordings)
     data = (
-        prepared(robot, logs, effects, robust)
+        prepare_at_best_cutoff(robot, logs, effects, robust)
         if cutoff is None
         else prepare(logs, cutoff)
     )
     terms = Identification(robot, data, estimator, tuple(effects), robust, seed)
-    held_out = terms.plain()
-    rungs = {
-        "friction": terms.bend,
-        "ripple": terms.ripple,
-        "remainder": terms.learn,
-        "consistent": terms.constrain,
+    held_out = terms.rigid_stage()
+    later = {
+        "friction": terms.friction_stage,
+        "ripple": terms.ripple_stage,
+        "remainder": terms.remainder_stage,
+        "consistent": terms.consistent_stage,
     }
-    for name, climb in rungs.items():
+    for name, run in later.items():
         if name in stages or (consistent and name == "consistent"):
-            climb()
+            run()
             held_out[f"+ {name}"] = terms.error
     fit = terms.fit(held_out)
     for text in fit.warnings:

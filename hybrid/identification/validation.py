@@ -23,7 +23,7 @@ class ValidationRow:
     """Errors of one model.
 
     Attributes:
-        name: Which model.
+        name: Name of the model.
         rms: RMS of measured less predicted torque, shape (n,), [N·m].
         relative: RMS over the RMS of the measured torque itself, shape (n,).
     """
@@ -40,15 +40,15 @@ class ValidationRow:
 
 @dataclass(frozen=True)
 class Validation:
-    """How models predict torque that none of them was fitted on.
+    """Errors of models on recordings that none of them was fitted on.
 
     Attributes:
         robot: Name of the arm.
         joints: Its joints.
-        rows: Models from the plainest to the fullest.
+        rows: Models, from the simplest to the complete one.
         noise_floor: RMS of the noise of the torque, shape (n,), [N·m].
-        sources: Recordings that were scored.
-        samples: Moving samples scored, of the joint with most.
+        sources: Names of the recordings.
+        samples: Number of moving samples, of the joint with most.
         seconds: Duration of the recordings, [s].
     """
 
@@ -62,9 +62,9 @@ class Validation:
 
     @property
     def reduction(self) -> float:
-        """Share of the mean RMS that the last model removes.
+        """Share by which the last model lowers the mean RMS of LS or WLS.
 
-        It is that of the better of least squares and weighted least squares.
+        The reference is the better of the two.
         """
         plain = [row.mean for row in self.rows if row.name in ("LS", "WLS")]
         return 1.0 - self.rows[-1].mean / min(plain or [self.rows[0].mean])
@@ -97,15 +97,15 @@ def validate(
     robot: Robot | None = None,
     standing: Array | None = None,
 ) -> Validation:
-    """Score a model and its simpler versions on recordings it has not seen.
+    """Errors of a model and its simpler versions on recordings it has not seen.
 
-    The error is that of the torque which :func:`predict` gives, at the rate of the log;
-    samples at which a joint stands still are left out for that joint.
+    The error is that of the torque from :func:`predict`, at the rate of the log.
+    Samples at which a joint stands still are left out for that joint.
 
     Args:
         model: Model from :func:`~hybrid.identification.identify`.
-        recordings: Logs, or motions made from them whose masks leave samples out.
-        robot: The arm the user means, to be sure that it is the model's.
+        recordings: Logs, or motions made from logs; masked samples are left out.
+        robot: The user's arm; checked to be the arm of the model.
         standing: Speed below which a joint stands, shape (n,), [rad/s]; that of the
             identification by default.
 
@@ -121,8 +121,8 @@ def validate(
     moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
     count = np.sum([x.sum(axis=0) for x in moving], axis=0)
 
-    def rms(left: Sequence[Array]) -> Array:
-        pairs = zip(moving, left, strict=True)
+    def rms(residual: Sequence[Array]) -> Array:
+        pairs = zip(moving, residual, strict=True)
         squares = np.sum([(np.where(x, y, 0.0) ** 2).sum(0) for x, y in pairs], axis=0)
         return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
 
@@ -143,17 +143,16 @@ def validate(
 
 
 def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
-    """Noise RMS at the rate of the log, from the torque far above the cut-off.
+    """RMS of white noise in the torque, from its power far above the cut-off.
 
-    White noise has the same power in every band; motion has none up there. Ripple or
-    resonance above the cut-off raises it.
+    Motion has no power there, but ripple and resonance may have.
 
     Args:
         motions: Motions at full rate.
         cutoff: Cut-off of columns and torque, [Hz].
 
     Returns:
-        RMS, shape (n,), [N·m], or None when the rate leaves no band above.
+        RMS, shape (n,), [N·m], or None if the sampling rate is too low.
     """
     power = []
     for motion in motions:
@@ -167,7 +166,7 @@ def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
 
 
 def predict(model: DynamicModel, recording: Recording) -> Array:
-    """Torque that a model gives along a recording, shape (N, n), [N·m].
+    """Torque that a model predicts along a recording, shape (N, n), [N·m].
 
     Positions are filtered and differentiated as for the identification.
 
@@ -177,8 +176,8 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
             between them, see :func:`~hybrid.inspect.check_recordings`.
 
     Raises:
-        RecordingError: The recording does not fit the arm, or has no torque while an
-            effect of the model looks at it.
+        RecordingError: The recording does not fit the arm, or has no torque although
+            an effect of the model depends on it.
     """
     motions, _ = prepare_motions(model.robot, [recording], model.cutoff)
     tau = np.concatenate([model.predict(motion) for motion in motions])

@@ -1,4 +1,4 @@
-"""What identification gives: a model of drive torque, and the file that holds it."""
+"""The identified model of drive torque, and its file."""
 
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 

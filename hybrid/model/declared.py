@@ -1,17 +1,17 @@
-"""What a robot file declares of its joints, as effects."""
+"""Effects that a robot file declares."""
 
 from __future__ import annotations
 
 from hybrid.effects import Effect
-from hybrid.plant.native import effects_of_fields, falls, knees, ripples
+from hybrid.plant.joint_fields import effects_of_fields, falls, knees, ripples
 from hybrid.robot import Robot
 
 
 def declared_effects(robot: Robot) -> list[Effect]:
-    """Rotors, friction and springs of a robot file, where it has them."""
+    """Rotors, friction, ripple and springs of a robot file as effects."""
     names = "damping", "frictionloss", "quadratic", "cubic", "stiffness"
     values = {name: getattr(robot, name) for name in names}
     values["armature"] = robot.chain.armature
     values["preload"] = -robot.stiffness * robot.springref
-    beside = *knees(robot), *ripples(robot), *falls(robot)
-    return [*effects_of_fields(values), *beside]
+    curves = *knees(robot), *ripples(robot), *falls(robot)
+    return [*effects_of_fields(values), *curves]

@@ -1,4 +1,4 @@
-"""The product of identification: a sum of terms that predicts joint torque."""
+"""The identified model: a sum of terms that predicts joint torque."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ class DynamicModel:
         robot: The arm.
         base: Base inertial parameters with their values.
         effects: Effects with their values.
-        remainder: What was learned of the rest, or None.
-        cutoff: Cut-off up to which it was identified, [Hz].
-        standing: Speed below which a joint counts as standing, shape (n,), [rad/s].
-        range: Lowest and highest position and speed seen in fitting, by name
-            (``q_min``, ``q_max``, ``v_max``), each of shape (n,).
-        inertial: Physically consistent link parameters that have these base values,
-            shape (n, 10), or None.
+        remainder: The learned remainder, or None.
+        cutoff: Cut-off of the identification, [Hz].
+        standing: Speed below which a joint stands, shape (n,), [rad/s].
+        range: Range of the data, by name: ``q_min``, ``q_max`` and ``v_max``, shape
+            (n,) each.
+        inertial: Physically consistent link parameters with these base values, shape
+            (n, 10), or None.
         covariance: Covariance of the base values, shape (b, b), or (0, 0) if unknown.
-        simpler: Models of the earlier stages and plainer estimators, by name, for
+        simpler: Models of earlier stages and simpler estimators, by name, for
             comparison.
     """
 
@@ -53,7 +53,7 @@ class DynamicModel:
 
     @property
     def stage(self) -> str:
-        """Name of the last stage that this model went through."""
+        """Name of the last stage of the identification."""
         if self.inertial is not None:
             return "+ consistent"
         if self.remainder is not None:
@@ -67,8 +67,7 @@ class DynamicModel:
     def link_parameters(self) -> Array:
         """Link parameters with the base values, shape (n, 10).
 
-        Physically consistent ones if they are known; else the torque is right and the
-        links could not be built.
+        Physically consistent ones if they are known; else only the torque is right.
         """
         if self.inertial is not None:
             return self.inertial
@@ -88,13 +87,15 @@ class DynamicModel:
         Returns:
             Torque, shape (N, n), [N·m].
         """
-        for effect in self._observing:
-            motion = effect.observe(motion, self.body(motion))
+        for effect in self.effects:
+            if effect.observes:
+                motion = effect.observe(motion, self.body(motion))
         body = self.body(motion)
         tau = body.load + self._effect_torque(motion, body)
-        for effect in self._reporting:
-            joints = list(effect.joints)
-            tau[:, joints] = effect.report(motion.t, tau[:, joints])
+        for effect in self.effects:
+            if effect.reports:
+                joints = list(effect.joints)
+                tau[:, joints] = effect.report(motion.t, tau[:, joints])
         if self.remainder is not None:
             tau += self.remainder.predict(motion.q, motion.v)
         return tau
@@ -103,30 +104,22 @@ class DynamicModel:
     def _effect_torque(self) -> EffectTorque:
         return effect_torque(self.robot.chain, self.effects)
 
-    @cached_property
-    def _observing(self) -> tuple[Effect, ...]:
-        return tuple(effect for effect in self.effects if effect.observes)
-
-    @cached_property
-    def _reporting(self) -> tuple[Effect, ...]:
-        return tuple(effect for effect in self.effects if effect.reports)
-
     def save(self, path: str | Path) -> None:
-        """Write ``path``, one JSON file with a hash of all that it says.
+        """Write the model to ``path``, a JSON file with a hash of its content.
 
         Raises:
-            ModelFileError: The path does not end in ``.json``, or the model holds what
-                none may have and could not be loaded.
+            ModelFileError: The path does not end in ``.json``, or the model has values
+                with which it could not be loaded.
         """
         write_model(self, Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> DynamicModel:
-        """Read what :meth:`save` wrote.
+        """Read a file of :meth:`save`.
 
         Raises:
             ModelFileError: The file is missing, damaged, edited or of another version,
-                or holds an effect that is not known here.
+                or has an unknown effect.
         """
         return read_model(cls, Path(path))
 

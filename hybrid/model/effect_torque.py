@@ -1,7 +1,7 @@
-"""Torque of a model's effects; laws of one instant are evaluated together.
+"""Torque of a model's effects.
 
-Laws of one instant are written down once for a model, so that what is common to them is
-worked out once. Effects that look at a whole motion are asked one by one.
+Laws that depend on one instant are compiled together, so that common terms are computed
+once. Effects that depend on a whole motion are evaluated one by one.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from hybrid.signals import Motion
 
 @dataclass(frozen=True, eq=False)
 class EffectTorque:
-    """The effects of an arm, sorted by how their torque is found.
+    """The effects of an arm, sorted by the way to compute their torque.
 
     Attributes:
-        law: Torque of the laws of one instant at every joint, from positions, speeds,
-            accelerations and loads; None if there is none.
-        links: Change of link parameters that has the torque of some, shape (n, 10);
-            None if there is none.
-        gravity: Change of gravity that has the torque of some, shape (3,), [m/s²]; None
-            if there is none.
-        others: Effects that look at a whole motion.
+        law: Torque of laws of one instant at every joint, from positions, speeds,
+            accelerations and loads; or None.
+        links: Change of link parameters that is equivalent to some effects, shape
+            (n, 10); or None.
+        gravity: Change of gravity that is equivalent to some effects, shape (3,),
+            [m/s²]; or None.
+        others: Effects that depend on a whole motion.
     """
 
     law: Law | None
@@ -40,12 +40,7 @@ class EffectTorque:
     others: tuple[Effect, ...]
 
     def __call__(self, motion: Motion, body: RigidBody) -> Array:
-        """Torque of all effects, shape (N, n), [N·m].
-
-        Args:
-            motion: N samples of the arm's motion.
-            body: Its rigid body along them.
-        """
+        """Torque of all effects, shape (N, n), [N·m]."""
         q, v, a = motion.q, motion.v, motion.a
         tau = body.load
         tau = self.law.along((q, v, a, tau)) if self.law else np.zeros_like(tau)
@@ -59,7 +54,7 @@ class EffectTorque:
 
 
 def effect_torque(chain: Chain, effects: Sequence[Effect]) -> EffectTorque:
-    """Sort the effects of an arm, and write their laws down."""
+    """Sort the effects of an arm, and compile their laws."""
     n, tape = chain.size, Tape()
     names = tuple(f"{x}[{j}]" for x in ("q", "v", "a", "load") for j in range(n))
     given = [tape.input(name) for name in names]
@@ -74,7 +69,7 @@ def effect_torque(chain: Chain, effects: Sequence[Effect]) -> EffectTorque:
         if change is not None:
             links, gravity = links + change[0], gravity + change[1]
             continue
-        law = _written(effect, states, tape)
+        law = _compiled(effect, states, tape)
         if law is None:
             others.append(effect)
         else:
@@ -89,17 +84,15 @@ def effect_torque(chain: Chain, effects: Sequence[Effect]) -> EffectTorque:
     )
 
 
-def _written(
+def _compiled(
     effect: Effect, states: Sequence[JointState], tape: Tape
 ) -> Mapping[int, Any] | None:
-    """Torque at the joints of a law of one instant; None if it is none."""
-    if effect.observes or effect.reports or effect.asks or effect.memory:
-        return None
-    if effect.not_in_loop:
+    """Torque of a law of one instant, by joint; None if it is no such law."""
+    if effect.changes_signals or effect.asks or effect.memory or effect.not_in_loop:
         return None
     try:
         values, _ = effect.at_instant([states[j] for j in effect.joints], (), 0.0)
-    except (HybridError, TypeError, ValueError):  # it has no such form: take it as is
+    except (HybridError, TypeError, ValueError):  # it cannot be compiled
         return None
     used = {tape.lines[k].arguments[0] for k in tape.needed(values)}
     return None if "t" in used else dict(zip(effect.joints, values, strict=True))

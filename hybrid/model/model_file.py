@@ -1,7 +1,7 @@
-"""Dynamic models in files: one JSON text, with a hash of all that it says.
+"""Model files: JSON with a hash of the content.
 
-Arrays of numbers stand in it as bytes in base64, so that each is a line and comes back
-to the last bit. Every value is held against what a model may have before it is one.
+Arrays are stored as bytes in base64, so that each is one line and is read bitwise
+equal. Every value is checked when a file is read.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "hybrid.model/2"
 _DAMAGE = (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError)
-_FARTHEST = 1e3  # times the largest plausible value of a parameter: no fit ends there
+_FARTHEST = 1e3  # largest value of a parameter, over its largest plausible value
 
 
 def write_model(model: DynamicModel, path: Path) -> None:
@@ -41,7 +41,7 @@ def write_model(model: DynamicModel, path: Path) -> None:
         raise ModelFileError(f"{path}: a model is saved as .json")
     try:
         content = content_from_model(model)
-        _read(type(model), dict(content))  # what could not be read again is not written
+        _read(type(model), dict(content))  # refuse what could not be read again
     except (ValueError, HybridError) as error:
         raise ModelFileError(f"{path}: not saved, {error}") from error
     write_json(path, content)
@@ -95,7 +95,7 @@ def _read(kind: type[DynamicModel], content: Any) -> DynamicModel:
 
 
 def content_digest(content: Mapping[str, Any]) -> str:
-    """SHA-256 of the content of a model but for its own, however it is laid out."""
+    """SHA-256 of the content without the hash itself, independent of its layout."""
     text = json.dumps(content, allow_nan=False, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -125,14 +125,11 @@ def _content(model: DynamicModel) -> dict[str, Any]:
 
 
 def _packed(arrays: Mapping[str, Array]) -> dict[str, Any]:
-    return {
-        name: {"shape": list(x.shape), "float64": _text(x)}
-        for name, x in arrays.items()
-    }
-
-
-def _text(x: Array) -> str:
-    return b64encode(np.asarray(x, dtype="<f8").tobytes()).decode("ascii")
+    content = {}
+    for name, x in arrays.items():
+        text = b64encode(np.asarray(x, dtype="<f8").tobytes()).decode("ascii")
+        content[name] = {"shape": list(x.shape), "float64": text}
+    return content
 
 
 def _unpacked(name: str, content: Mapping[str, Any]) -> Array:
@@ -171,7 +168,7 @@ def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel
 
 
 def _covariance(content: Mapping[str, Any], size: int) -> Array:
-    """Covariance of the base values, which older files do not have."""
+    """Covariance of the base values; older files have none."""
     if "covariance" not in content:
         return np.zeros((0, 0))
     found = _unpacked("covariance", content["covariance"])
@@ -237,7 +234,7 @@ def _check_joints(remainder: ArmRemainder) -> None:
         for j in (part.joint, *part.positions, *part.speeds):
             if not 0 <= j < remainder.size:
                 raise ModelFileError(
-                    f"the remainder looks at joint {j} of {remainder.size}"
+                    f"the remainder uses joint {j} of {remainder.size}"
                 )
         if part.regression.outputs != 1:
             raise ModelFileError("a joint's remainder has more than one torque")
@@ -245,20 +242,20 @@ def _check_joints(remainder: ArmRemainder) -> None:
 
 def _real(x: Any) -> float:
     if isinstance(x, bool) or not isinstance(x, (int, float)):
-        raise ModelFileError(f"{x!r} stands where a number is needed")
+        raise ModelFileError(f"{x!r} is no number")
     return float(x)
 
 
 def _whole(x: Any) -> int:
     if isinstance(x, bool) or not isinstance(x, int):
-        raise ModelFileError(f"{x!r} stands where a whole number is needed")
+        raise ModelFileError(f"{x!r} is no whole number")
     return x
 
 
 def _array(
     name: str, content: Any, shape: tuple[int, ...], *, lowest: float = -np.inf
 ) -> Array:
-    """Numbers in lists as an array, if it is what it should be."""
+    """Lists of numbers as an array, with its shape and values checked."""
     x = np.array(content)
     if x.shape != shape or (x.dtype.kind not in "if" and x.size):
         raise ModelFileError(

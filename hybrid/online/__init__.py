@@ -1,4 +1,4 @@
-"""Track dynamic parameters while the arm works."""
+"""Online identification: dynamic parameters tracked while the arm works."""
 
 from hybrid.online.health import Health
 from hybrid.online.identifier import OnlineIdentifier

@@ -1,4 +1,4 @@
-"""Columns of rigid body and effects at some instants, each in a small task."""
+"""Regression columns of rigid body and effects at some instants, in small tasks."""
 
 from __future__ import annotations
 
@@ -10,30 +10,23 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.dynamics.sample import SampleRegressor
-from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
-from hybrid.online.laws import STEP, InstantLaws, Numbered
+from hybrid.online.laws import STEP, IndexedEffect, InstantLaws
 from hybrid.online.layout import PAYLOAD, RowLayout
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-_TOGETHER = 2  # instants of a task: it then takes as long as the others
+_TOGETHER = 2  # instants in a rigid-body task, which then takes as long as the others
 
 
 class InstantColumns:
-    """Torque of B instants, linearised in all unknowns.
+    """Derivatives of the torque by all unknowns at B instants.
 
-    After :meth:`begin` each task writes its part of ``rows``, shape (B, P).
-
-    Args:
-        robot: The arm.
-        problem: Which parameters count.
-        layout: Where they stand in a row.
-        instants: Number of instants B.
+    After :meth:`begin`, each task writes its part of ``rows``, shape (B, P).
 
     Raises:
-        IdentificationError: An effect changes signals rather than adds torque.
+        IdentificationError: An effect changes signals instead of adding torque.
     """
 
     def __init__(
@@ -42,7 +35,7 @@ class InstantColumns:
         self._problem, self._layout = problem, layout
         self.rows = np.zeros((instants, len(layout.joints)))
         self._find_rigid(robot)
-        self._laws = InstantLaws(_numbered(problem), layout)
+        self._laws = InstantLaws(_indexed(problem), layout)
         self.tasks: list[Callable[[], None]] = [
             *(partial(self._fill_rigid, k) for k in range(0, instants, _TOGETHER)),
             *(partial(self._fill_laws, k) for k in range(instants)),
@@ -50,16 +43,16 @@ class InstantColumns:
         ]
 
     def begin(self, states: tuple[Array, Array, Array, Array], theta: Array) -> None:
-        """Start with some instants.
+        """Set the instants that the tasks work on.
 
         Args:
             states: Time (B,), [s], position (B, n), [rad], speed and acceleration.
-            theta: Unknowns at which shapes and load are taken, shape (d,).
+            theta: Unknowns that give shapes and load, shape (d,).
         """
         self._states, self._theta = states, theta
 
     def _find_rigid(self, robot: Robot) -> None:
-        """Which entries the regressor needs, and where they go."""
+        """Find the regressor entries that are needed, and their places in a row."""
         n, layout, kept = robot.size, self._layout, np.array(self._problem.base.kept)
         inertial = np.flatnonzero(np.isin(layout.unknowns, self._problem.rigid))
         joints, self._base = layout.joints[inertial], layout.unknowns[inertial]
@@ -72,28 +65,28 @@ class InstantColumns:
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
     def _fill_rigid(self, first: int) -> None:
-        """Rigid body at some instants from one on."""
+        """Write the rigid body at some instants, beginning with one."""
         together = slice(first, first + _TOGETHER)
         _, *motion = (x[together] for x in self._states)
         for row, *state in zip(self.rows[together], *motion, strict=True):
             row[self._targets] = self._regressor(*state)
 
     def _fill_laws(self, k: int) -> None:
-        """Laws of joints' own states at one instant."""
+        """Write the laws of single joints at one instant."""
         (t, q, v, a), theta = (x[k] for x in self._states), self._theta
         row, laws = self.rows[k], self._laws
         load = (row[self._inertial] * theta[self._base]) @ self._of_joint
         row[laws.places] = laws(t, q, v, a, load, theta)
 
     def _fill_others(self) -> None:
-        """Effects that look at more than one joint; slower."""
+        """Write the effects that depend on several joints; slower."""
         t, q, v, a = self._states
         motion = Motion(t, q, v, a, 0 * q, np.ones(len(t), dtype=bool))
         body = RigidBody(self._problem.chain, motion, self._problem.inertial)
         for own in self._laws.others:
             self._fill_other(own, motion, body)
 
-    def _fill_other(self, own: Numbered, motion: Motion, body: RigidBody) -> None:
+    def _fill_other(self, own: IndexedEffect, motion: Motion, body: RigidBody) -> None:
         theta, joints = self._theta, own.effect.reaches(motion.q.shape[1])
         names = [s.name for s in own.effect.shapes]
         values = theta[own.shapes].tolist()
@@ -118,12 +111,12 @@ class InstantColumns:
                 write(unknown, (moved - columns)[:, :, known] @ gains / step)
 
 
-def _numbered(problem: Problem) -> list[Numbered]:
-    """The effects with the unknowns of their gains and shapes."""
+def _indexed(problem: Problem) -> list[IndexedEffect]:
+    """The effects with the indices of their gains and shapes among the unknowns."""
     unknowns = {(e, g): u for u, e, g in problem.gains}
     first, found = problem.size, []
     for e, effect in enumerate(problem.effects):
-        if effect.reports or type(effect).observe is not Effect.observe:
+        if effect.changes_signals:
             raise IdentificationError(
                 f"{effect.id} changes signals and cannot be tracked sample by sample; "
                 "valid are effects that add torque"
@@ -131,5 +124,5 @@ def _numbered(problem: Problem) -> list[Numbered]:
         gains = [unknowns.get((e, g), -1) for g in range(len(effect.gains))]
         shapes = list(range(first, first + len(effect.shapes)))
         first += len(effect.shapes)
-        found.append(Numbered(effect, gains, shapes))
+        found.append(IndexedEffect(effect, gains, shapes))
     return found

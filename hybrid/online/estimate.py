@@ -1,4 +1,4 @@
-"""Update the estimate of all unknowns with the rows of a block."""
+"""The estimate of all unknowns, updated with one row at a time."""
 
 from __future__ import annotations
 
@@ -13,37 +13,38 @@ from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import PayloadChange
 from hybrid.online.square_root import SquareRootFilter
 
-_SURPRISE = 5.0  # standard deviations to which an error is cut
+_MOST_DEVIATIONS = 5.0  # standard deviations at which an error is clipped
 
 
 @dataclass(frozen=True)
-class _News:
-    """Rows of the m joints that move, not yet taken in; of unit noise."""
+class _Innovation:
+    """The row of the m moving joints, scaled to unit noise, before the update."""
 
     joints: Indices  # (m,)
     H: Array  # (m, d)
     error: Array  # (m,)
-    payload: Array  # (m, 4): derivative by mass and first moments held
-    repeats: float  # see TorqueNoise
+    payload: Array  # (m, 4): derivative by mass and first moments of a payload
+    inflation: float  # see TorqueNoise
 
 
 class OnlineEstimate:
-    """Filter, noise and payload detector together, a few tasks for each row.
+    """Recursive filter, torque noise and payload detector together.
 
     Args:
-        root: The filter.
-        bounds: Lowest and highest values of the unknowns, shape (d,) each.
-        gains: Unknowns p that the torque is linear in; shapes come after them.
+        square_root: The recursive filter.
+        bounds: Lower and upper bounds of the unknowns, shape (d,) each.
+        gains: Number of unknowns p in which the torque is linear; shapes come after.
         payload: Change of the unknowns by usual payload parameters, shape (d, 10).
-        noise: Size of the torque's error.
-        detector: What notices a payload.
-        forgetting: λ of each update.
-        mixing: Time after a change for which rows mix what was with what is, [s].
+        noise: Standard deviation of the torque error.
+        detector: Detector of payload changes.
+        forgetting: Forgetting factor λ of each update.
+        mixing: Time after a change in which filtered rows still contain samples from
+            before it, [s].
     """
 
     def __init__(
         self,
-        root: SquareRootFilter,
+        square_root: SquareRootFilter,
         *,
         bounds: tuple[Array, Array],
         gains: int,
@@ -53,89 +54,86 @@ class OnlineEstimate:
         forgetting: float,
         mixing: float,
     ) -> None:
-        self.filter, self.bounds, self.payload = root, bounds, payload
+        self.filter, self.bounds, self.payload = square_root, bounds, payload
         self.noise, self._detector = noise, detector
         self._gains, self._forgetting, self._mixing = gains, forgetting, mixing
-        self.before = root.mean.copy(), root.covariance
+        self.before = square_root.mean.copy(), square_root.covariance
         self.error = np.zeros(len(noise.std))
         self._learn_from = -np.inf
-        self._news: _News | None = None
-        self._seen, self._spread = np.zeros((0, len(root.mean))), np.zeros(0)
+        self._innovation: _Innovation | None = None
+        self._projected, self._error_std = (
+            np.zeros((0, len(square_root.mean))),
+            np.zeros(0),
+        )
 
-    def judge(self, row: Array, layout: RowLayout) -> None:
-        """Compute the errors of a row under the present estimate.
-
-        Args:
-            row: Flat row, shape (P,).
-            layout: What is where in it.
-        """
+    def compute_errors(self, row: Array, layout: RowLayout) -> None:
+        """Compute the prediction errors of a row."""
         J, p = layout.derivative(row), self._gains
         self.error = row[layout.torque] - J[:, :p] @ self.filter.mean[:p]
         joints = np.flatnonzero(row[layout.moving] > 0.5)
-        self._news = None
+        self._innovation = None
         if joints.size:
-            repeats = self.noise.repeats
-            share = 1.0 / (self.noise.std[joints] * np.sqrt(repeats))
+            inflation = self.noise.inflation
+            share = 1.0 / (self.noise.std[joints] * np.sqrt(inflation))
             payload = row[layout.payload[joints]] * share[:, None]
             H, error = J[joints] * share[:, None], self.error[joints] * share
-            self._news = _News(joints, H, error, payload, repeats)
+            self._innovation = _Innovation(joints, H, error, payload, inflation)
 
-    def foresee(self, t: float) -> None:
-        """Compute how large errors may be by what is not known, for the detector too.
-
-        Args:
-            t: Time, [s]; before and after a change are not to mix.
-        """
+    def predict_spread(self, t: float) -> None:
+        """Compute the standard deviation of the errors, and feed the detector."""
         if t < self._learn_from:
-            self._news = None
-        news = self._news
-        if news is not None:
-            self._seen = self.filter.seen(news.H)
-            square = np.einsum("ij,ij->i", self._seen, self._seen)
-            self._spread = np.sqrt(1.0 + square)
-            # At once a row counts in full; what repeats itself counts less in the sums.
-            one = np.sqrt(news.repeats) / self._spread
-            self._detector.hear(news.payload * one[:, None], news.error * one)
+            self._innovation = None
+        innovation = self._innovation
+        if innovation is not None:
+            self._projected = self.filter.project(innovation.H)
+            square = np.einsum("ij,ij->i", self._projected, self._projected)
+            self._error_std = np.sqrt(1.0 + square)
+            # The detector accounts for the correlation of successive rows itself.
+            share = np.sqrt(innovation.inflation) / self._error_std
+            payload = innovation.payload * share[:, None]
+            self._detector.add(payload, innovation.error * share)
 
-    def look(self, t: float) -> float | None:
-        """Look for a payload grasped or dropped.
+    def detect_change(self, t: float) -> float | None:
+        """Test whether a payload was grasped or dropped.
 
-        After one the estimate is widened, and rows count again when they no longer mix
-        before and after.
+        After a change the covariance is increased, and updates pause until rows no
+        longer contain samples from before it.
 
         Args:
             t: Time, [s].
 
         Returns:
-            Statistic of the change, if one is noticed.
+            Statistic of the change, or None.
         """
-        if self._news is None:
+        if self._innovation is None:
             return None
-        change = self._detector.noticed(t, self._news.repeats)
+        change = self._detector.detect(t, self._innovation.inflation)
         if change is not None:
             self.before = self.filter.mean.copy(), self.filter.covariance
-            self.filter.widen(self.payload)
-            self._learn_from, self._news = t + self._mixing, None
+            self.filter.add_covariance(self.payload)
+            self._learn_from, self._innovation = t + self._mixing, None
         return change
 
     @property
     def tasks(self) -> tuple[Callable[[], None], ...]:
-        """What takes the row in, unless it told of a change; in order."""
-        return self._weigh, self._learn, self._settle
+        """Steps of the update with the row, in order; none after a change."""
+        return self._begin_update, self._finish_update, self._clip
 
-    def _weigh(self) -> None:
-        if self._news is not None:
-            limit = _SURPRISE * self._spread
-            error = np.minimum(np.maximum(self._news.error, -limit), limit)
-            self.filter.weigh(self._seen, error, self._forgetting)
+    def _begin_update(self) -> None:
+        if self._innovation is not None:
+            limit = _MOST_DEVIATIONS * self._error_std
+            error = np.minimum(np.maximum(self._innovation.error, -limit), limit)
+            self.filter.begin_update(self._projected, error, self._forgetting)
 
-    def _learn(self) -> None:
-        if self._news is not None:
-            self.filter.narrow()
+    def _finish_update(self) -> None:
+        if self._innovation is not None:
+            self.filter.finish_update()
 
-    def _settle(self) -> None:
-        if self._news is not None:
-            self.filter.keep_within(*self.bounds)
-            news, std = self._news, self.noise.std[self._news.joints]
-            error = news.error * np.sqrt(news.repeats) * std / self._spread
-            self.noise.update(news.joints.tolist(), error.tolist())
+    def _clip(self) -> None:
+        if self._innovation is not None:
+            self.filter.clip(*self.bounds)
+            innovation, std = self._innovation, self.noise.std[self._innovation.joints]
+            error = (
+                innovation.error * np.sqrt(innovation.inflation) * std / self._error_std
+            )
+            self.noise.update(innovation.joints.tolist(), error.tolist())

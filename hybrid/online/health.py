@@ -1,34 +1,33 @@
-"""The health of a stream of samples: counts, rate, problems."""
+"""The health of a sample stream: counts, rate, problems."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-_LOST = 0.01  # of the samples of the last second
-_RATE_OFF = 0.05  # of the stated rate
+_MOST_LOST = 0.01  # of the samples of the last second
+_RATE_TOLERANCE = 0.05  # of the stated rate
 
 
 @dataclass(frozen=True)
 class Health:
     """Counts of accepted and rejected samples, and the rate.
 
-    ``received`` is the sum of ``used`` and of those that were left out: ``not_finite``,
+    ``received`` is the sum of ``used`` and the rejected ones: ``not_finite``,
     ``implausible``, ``repeated``, ``late`` and ``jumped``.
 
     Attributes:
-        received: Samples that came.
-        used: Samples that were taken in.
-        not_finite: They hold NaN or infinity.
-        implausible: No drive moves so fast, or has such a torque.
-        repeated: They have the stamp, or the values, of the sample before.
-        late: Their stamp lies before one that was taken in.
-        jumped: Their stamp lies further ahead than a gap that can be bridged.
-        missing: Samples that never came, by the stamps of those that did.
-        restarts: Times that the clock, or the position, went on from elsewhere.
-        lost: Share of the samples of about the last second that were left out or never
-            came.
-        rate: Samples per second by their stamps, [Hz].
-        stated_rate: Samples per second that were promised, [Hz].
+        received: Samples received.
+        used: Samples accepted.
+        not_finite: Rejected: contains NaN or infinity.
+        implausible: Rejected: a speed or torque that no drive has.
+        repeated: Rejected: time stamp, or values, of the previous sample.
+        late: Rejected: time stamp before that of an accepted sample.
+        jumped: Rejected: time stamp after a gap that cannot be bridged.
+        missing: Samples never received, judged by the time stamps.
+        restarts: Number of times that clock or position restarted elsewhere.
+        lost: Share of samples rejected or missing in about the last second.
+        rate: Samples per second by their time stamps, [Hz].
+        stated_rate: Samples per second that the user stated, [Hz].
     """
 
     received: int = 0
@@ -47,16 +46,16 @@ class Health:
     @property
     def rate_is_right(self) -> bool:
         """Whether samples come at the stated rate."""
-        return abs(self.stated_rate - self.rate) <= _RATE_OFF * self.stated_rate
+        return abs(self.stated_rate - self.rate) <= _RATE_TOLERANCE * self.stated_rate
 
     @property
     def ok(self) -> bool:
-        """Whether hardly any sample is lost and the rate is as stated."""
-        return self.lost <= _LOST and self.rate_is_right
+        """Whether few samples are lost and the rate is as stated."""
+        return self.lost <= _MOST_LOST and self.rate_is_right
 
     @property
     def summary(self) -> str:
-        """The counts in one line; those that are 0 are left out."""
+        """All counts above zero, in one line."""
         names = (
             "not_finite", "implausible", "repeated", "late", "jumped", "missing",
             "restarts",
@@ -67,12 +66,12 @@ class Health:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong, in words; empty if all is well."""
+        """The problems, in words; empty if there are none."""
         found = []
         if not self.rate_is_right:
             found.append(
                 f"samples come at {self.rate:.4g} Hz, not at {self.stated_rate:g} Hz"
             )
-        if self.lost > _LOST:
+        if self.lost > _MOST_LOST:
             found.append(f"{self.lost:.0%} of the last second's samples are lost")
         return tuple(found)

@@ -1,13 +1,12 @@
-"""Dynamic parameters tracked sample by sample while the arm works.
+"""Online identification of dynamic parameters, sample by sample.
 
 Source: Ljung and Söderström 1983, "Theory and Practice of Recursive Identification"
 (extended least squares); see also ``square_root.py`` and ``payload_change.py``.
 
-Samples are worked on in blocks. While one fills, the one before is worked out, in tasks
-of some ten microseconds of which every call does its share: none takes long, but for
-the call that notices a payload (a few tenths of a millisecond). At low rates a block is
-a few samples, without a cut-off it is one; a call then does more, and has the time for
-it.
+Samples are processed in blocks. While a block fills, each call does a part of the work
+of the previous block, so no call takes long: about ten microseconds a task, and a few
+tenths of a millisecond for the call that detects a payload. At low rates a block has a
+few samples, and without a cut-off one, so a call does more of the work.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.online.columns import InstantColumns
 from hybrid.online.estimate import OnlineEstimate
 from hybrid.online.health import Health
+from hybrid.online.initial_estimate import REACH, InitialEstimate, payload_sizes
 from hybrid.online.intake import Intake, Sample
 from hybrid.online.layout import RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import Change, PayloadChange, likely_payload
 from hybrid.online.pipeline import Pipeline
 from hybrid.online.square_root import SquareRootFilter
-from hybrid.online.start import REACH, Start, payload_sizes
 from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
@@ -40,39 +39,39 @@ from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 _STANDING = 0.01  # of a joint's rated speed
 _NOISE = 0.02  # of the rated torque, before the first sample
-_ABSURD = 10.0  # largest rated speeds and torques that no sensor shows in earnest
+_IMPLAUSIBLE = 10.0  # of the sum of the rated speeds, and of the rated torques
 _UPDATES, _ROWS = 5.0, 25.0  # per period of the cut-off
-_SETTLING = 1.5  # periods of the cut-off for which rows mix what was with what is
+_SETTLING = 1.5  # periods of the cut-off in which the filter still holds older samples
 
 
 class OnlineIdentifier:
     """Tracks base parameters, and the gains and shapes of effects, sample by sample.
 
-    Positions are differentiated by local polynomials, columns and torque pass the same
-    low-pass, and an extended square-root filter takes them in, a few times per period
-    of the cut-off. Joints that stand do not count: their friction is not known.
-    Gains and shapes stay within their physical bounds. A payload grasped or dropped is
-    noticed, and the parameters it moves are then found anew.
+    Positions are differentiated by local polynomials. Columns and torque pass the same
+    low-pass filter, and update an extended square-root filter a few times per period of
+    the cut-off. Joints at standstill are left out, because their friction is unknown.
+    Gains and shapes stay within their physical bounds. A payload that is grasped or
+    dropped is detected, and the parameters that it changes are then estimated again.
 
-    A stream may hold what it likes: samples that are not finite, repeated, late or
-    absurd are left out, short gaps are bridged by the time stamps, long ones start the
-    derivatives anew. ``health`` says what came.
+    Samples that are not finite, repeated, late or implausible are rejected. Short gaps
+    are bridged by the time stamps; after long ones the derivatives start again.
+    ``health`` counts the samples.
 
     Args:
         robot: The arm.
-        effects: Effects with their first values; they must add torque. Shapes are
+        effects: Effects with their initial values; they must add torque. Shapes are
             tracked unless ``shape_prior`` is 0.
         rate: Samples per second, [Hz].
-        inertial: First link parameters, shape (n, 10); the robot file's by default.
-        cutoff: Cut-off of columns and torque, [Hz]; inf if samples bring their speed
-            and acceleration and are free of noise.
-        memory: Time over which parameters are averaged once they are known, [s].
-        prior: Relative standard deviation of link parameters and gains at first.
-        shape_prior: The same for shapes.
+        inertial: Initial link parameters, shape (n, 10); the robot file's by default.
+        cutoff: Cut-off of columns and torque, [Hz]; inf if samples contain speed and
+            acceleration and have no noise.
+        memory: Time over which parameters are averaged, [s].
+        prior: Initial relative standard deviation of link parameters and gains.
+        shape_prior: Initial relative standard deviation of shapes.
         payload: Usual mass of a payload, [kg].
         standing: Speed below which a joint stands, shape (n,), [rad/s]; 1 % of its
             rated speed by default.
-        noise: Standard deviation of the torque at first, shape (n,), [N·m]; it is
+        noise: Initial standard deviation of the torque, shape (n,), [N·m]; it is
             tracked as well.
 
     Raises:
@@ -101,7 +100,7 @@ class OnlineIdentifier:
         self.robot, self.rate = robot, rate
         own = robot.chain.inertial if inertial is None else inertial
         problem = build_problem(robot.chain, effects, inertial=own)
-        start = Start(robot, problem, own, prior, shape_prior)
+        start = InitialEstimate(robot, problem, own, prior, shape_prior)
         self.problem = replace(problem, effects=start.effects)
         scales = joint_scales(robot)
         usual = np.array([[_NOISE * s.torque, _STANDING * s.speed] for s in scales]).T
@@ -109,10 +108,10 @@ class OnlineIdentifier:
         self._group = int(rate / (_ROWS * cutoff)) or 1
         rows = int(rate / (_UPDATES * cutoff * self._group)) or 1
         self._block = rows * self._group
-        self._derive, self._smooth = None, None
+        self._differentiator, self._low_pass = None, None
         if np.isfinite(cutoff):
-            self._derive = LocalPolynomial(rate, cutoff, self._group)
-            self._smooth = BlockLowPass(rate / self._group, cutoff, rows)
+            self._differentiator = LocalPolynomial(rate, cutoff, self._group)
+            self._low_pass = BlockLowPass(rate / self._group, cutoff, rows)
         self._layout = RowLayout(self.problem, shape_prior > 0)
         self._columns = InstantColumns(robot, self.problem, self._layout, rows)
         updates, size = rate / self._block, len(start.theta)
@@ -127,7 +126,7 @@ class OnlineIdentifier:
             forgetting=1.0 - min(0.5, size / robot.size / (memory * updates)),
             mixing=_SETTLING / cutoff,
         )
-        self._opened, self._phase = False, self._block
+        self._started, self._phase = False, self._block
         self._intake: Intake
         self._pipeline: Pipeline
         self._change: Change | None = None
@@ -137,7 +136,7 @@ class OnlineIdentifier:
     def from_model(
         cls, model: DynamicModel, *, rate: float, prior: float = 0.05
     ) -> OnlineIdentifier:
-        """Track on from an identified model; its learned remainder is left out."""
+        """Start from an identified model; its learned remainder is left out."""
         inertial = model.base.standard()[: 10 * model.robot.size]
         return cls(
             model.robot,
@@ -152,18 +151,18 @@ class OnlineIdentifier:
 
     @property
     def delay(self) -> float:
-        """Delay of the estimate behind the newest sample, [s]."""
-        margin = self._derive.margin if self._derive else 0
+        """Delay of the estimate after the newest sample, [s]."""
+        margin = self._differentiator.margin if self._differentiator else 0
         return (margin + self._block - 1) / self.rate
 
     @property
     def health(self) -> Health:
-        """What became of the samples: counts, their rate, and whether all is well."""
-        return self._intake.health if self._opened else Health(stated_rate=self.rate)
+        """Counts of accepted and rejected samples, and their rate."""
+        return self._intake.health if self._started else Health(stated_rate=self.rate)
 
     @property
     def error(self) -> Array:
-        """Torque less what the newest estimate says, filtered, shape (n,), [N·m]."""
+        """Filtered prediction error of the torque, shape (n,), [N·m]."""
         return self._estimate.error
 
     @property
@@ -200,7 +199,7 @@ class OnlineIdentifier:
 
     @property
     def model(self) -> DynamicModel:
-        """The model of this moment."""
+        """The model with the present values."""
         p = self.problem.size
         base, effects = self.problem.fitted(self._estimate.filter.mean[:p])
         shapes, changed = iter(self._estimate.filter.mean[p:].tolist()), []
@@ -212,86 +211,81 @@ class OnlineIdentifier:
     def taken(self) -> Array:
         """Payload that the last change added to the last link, shape (10,).
 
-        Mass, first moments and inertia about the origin of its frame. What the torque
-        cannot tell is as small as possible.
+        Mass, first moments and inertia about the origin of its frame. Undetermined
+        parameters are as small as possible.
         """
         mean, covariance = self._estimate.before
-        change = self._estimate.filter.mean - mean
-        spread = covariance + self._estimate.filter.covariance
         return likely_payload(
-            change, spread, self._estimate.payload, self._payload_sizes
+            self._estimate.filter.mean - mean,
+            covariance + self._estimate.filter.covariance,
+            self._estimate.payload,
+            self._payload_sizes,
         )
 
     def update(self, sample: Sample) -> Change | None:
-        """Take in one sample, or leave it out; see :attr:`health`.
+        """Accept one sample, or reject it; see :attr:`health`.
 
         Returns:
-            The payload change that was noticed with this sample, if any.
+            The payload change that was detected with this sample, if any.
 
         Raises:
             IdentificationError: A sample has the wrong shape, or lacks the speed and
                 acceleration that it needs.
         """
-        if not self._opened:
-            self._open(sample)
+        if not self._started:
+            self._start(sample)
         block = self._intake.take(sample)
         if block is not None:
             self._pipeline.begin(block, self._estimate.filter.mean)
             self._phase = 0
         self._change = None
         if self._phase < self._block:
-            for task in self._shares[self._phase]:
+            for task in self._tasks[self._phase]:
                 task()
             self._phase += 1
         return self._change
 
-    def _open(self, sample: Sample) -> None:
-        """Make ready for what samples bring, as the first one shows."""
+    def _start(self, sample: Sample) -> None:
+        """Build intake and pipeline for the signals that the first sample has."""
         if sample.v is not None and sample.a is not None:
-            self._derive = None
-        elif self._derive is None:
+            self._differentiator = None
+        elif self._differentiator is None:
             raise IdentificationError(
                 "without a cut-off every sample needs its speed and acceleration"
             )
-        derive = self._derive
+        differentiator = self._differentiator
         scales = joint_scales(self.robot)
         self._intake = Intake(
             self.robot.size,
             rate=self.rate,
-            window=derive.span if derive else 0.0,
-            speed=_ABSURD * sum(s.speed for s in scales),
-            torque=_ABSURD * sum(s.torque for s in scales),
-            before=2 * derive.margin if derive else 0,
+            window=differentiator.span if differentiator else 0.0,
+            speed=_IMPLAUSIBLE * sum(s.speed for s in scales),
+            torque=_IMPLAUSIBLE * sum(s.torque for s in scales),
+            before=2 * differentiator.margin if differentiator else 0,
             block=self._block,
         )
         self._pipeline = Pipeline(
             self._columns,
             self._layout,
             group=self._group,
-            derive=derive,
-            smooth=self._smooth,
+            differentiator=differentiator,
+            low_pass=self._low_pass,
             standing=self._standing,
         )
         estimate = self._estimate
         tasks = [
             *self._pipeline.tasks,
-            self._judge,
-            self._foresee,
-            self._look,
+            lambda: estimate.compute_errors(self._pipeline.row, self._layout),
+            lambda: estimate.predict_spread(self._pipeline.time),
+            self._detect_change,
             *estimate.tasks,
         ]
         ends = [k * len(tasks) // self._block for k in range(self._block + 1)]
-        self._shares = [tasks[start:end] for start, end in pairwise(ends)]
-        self._opened = True
+        self._tasks = [tasks[start:end] for start, end in pairwise(ends)]
+        self._started = True
 
-    def _judge(self) -> None:
-        self._estimate.judge(self._pipeline.row, self._layout)
-
-    def _foresee(self) -> None:
-        self._estimate.foresee(self._pipeline.time)
-
-    def _look(self) -> None:
-        found = self._estimate.look(self._pipeline.time)
+    def _detect_change(self) -> None:
+        found = self._estimate.detect_change(self._pipeline.time)
         if found is not None:
             self._change = Change(self._intake.now, found)
             self.changes.append(self._change)

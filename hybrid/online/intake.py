@@ -1,4 +1,4 @@
-"""Accept or reject the samples of a stream, and group them into blocks."""
+"""Acceptance of the samples of a stream, and their grouping into blocks."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from hybrid.errors import IdentificationError
 from hybrid.online.health import Health
 from hybrid.signals.streaming import STRETCH
 
-_FATES = ("used", "not_finite", "implausible", "repeated", "late", "jumped")
+_OUTCOMES = ("used", "not_finite", "implausible", "repeated", "late", "jumped")
 
-_BELIEVED = 10  # samples that follow each other, before a new clock is believed
-_CLOSEST = 0.1  # period between two samples, else the second repeats the first
-_LARGEST, _LATEST = 1e6, 1e15  # in SI units: of what an arm does, and of a stamp
-_MEMORY = 1.0  # s, of the share that is lost
-_GAIN, _STEP = 0.05, 0.1  # of the period's mean: share of news, and at most of itself
+_RESTART_AFTER = 10  # rejected samples that follow each other
+_CLOSEST = 0.1  # of a period: two samples that are closer are repeated
+_LARGEST, _LATEST = 1e6, 1e15  # largest signal, and time stamp, in SI units
+_MEMORY = 1.0  # s, time constant of the share of lost samples
+_RATE_GAIN = 0.05  # weight of a new period in the mean
+_RATE_STEP = 0.1  # largest relative deviation of a new period that counts
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a controller knows at one instant.
+    """The signals of an arm at one instant.
 
     Attributes:
         t: Time, [s].
@@ -42,21 +43,21 @@ class Sample:
 
 
 class Intake:
-    """Accepts samples that follow each other, and groups them into blocks.
+    """Accepts or rejects samples, and groups the accepted ones into blocks.
 
-    One rule holds for clock and position: a sample is taken in if it follows the last
-    one within reach of the window, no faster than ``speed``. One that does not is left
-    out, until some in a row follow each other: then the stream goes on from there, and
-    its own clock leaves a gap that no window bridges.
+    A sample is accepted if it follows the last one soon enough for the window, and no
+    faster than ``speed``. Otherwise it is rejected. If ten rejected samples follow each
+    other, the stream restarts from them, after a gap in its own clock that no window
+    bridges.
 
     Args:
-        size: Joints n.
+        size: Number of joints n.
         rate: Samples per second, [Hz].
-        window: Time over which samples are differentiated, [s]; 0 if they bring speed
+        window: Time over which samples are differentiated, [s]; 0 if they contain speed
             and acceleration.
-        speed: Speed of all joints together beyond which a position is wrong, [rad/s].
-        torque: Torque of all joints together beyond which it is wrong, [N·m].
-        before: Samples of the past that a block brings along.
+        speed: Largest plausible norm of the joint speeds, [rad/s].
+        torque: Largest plausible norm of the joint torques, [N·m].
+        before: Past samples that a block contains.
         block: New samples in a block.
     """
 
@@ -71,18 +72,18 @@ class Intake:
         before: int,
         block: int,
     ) -> None:
-        self._n, self._rate, self._brings = size, rate, 2 if window else 4
+        self._n, self._rate, self._signals = size, rate, 2 if window else 4
         self._reach = (STRETCH - 1.0) * window if window else math.inf
         self._gap = max(STRETCH * window, 1.0 / rate)
         self._speed, self._torque = speed if window else math.inf, torque
-        self._rows = np.zeros((before + block, 1 + self._brings * size))
+        self._rows = np.zeros((before + block, 1 + self._signals * size))
         self._before, self._filled, self._clock = before, 0, 0.0
         self._last: Array | None = None
-        self._rival: Array | None = None
+        self._candidate: Array | None = None
         self._followers = self._between = 0
         self._stamp, self._period = math.nan, 1.0 / rate
-        self._lost, self._news = 0.0, 1.0 / (1.0 + rate * _MEMORY)
-        self._count = dict.fromkeys((*_FATES, "missing", "restarts"), 0)
+        self._lost, self._gain = 0.0, 1.0 / (1.0 + rate * _MEMORY)
+        self._count = dict.fromkeys((*_OUTCOMES, "missing", "restarts"), 0)
 
     @property
     def now(self) -> float:
@@ -91,9 +92,9 @@ class Intake:
 
     @property
     def health(self) -> Health:
-        """What became of the samples so far."""
+        """Counts of the samples so far."""
         return Health(
-            received=sum(self._count[fate] for fate in _FATES),
+            received=sum(self._count[outcome] for outcome in _OUTCOMES),
             **self._count,
             lost=self._lost,
             rate=1.0 / self._period,
@@ -101,21 +102,21 @@ class Intake:
         )
 
     def take(self, sample: Sample) -> Array | None:
-        """Take a sample in, or leave it out.
+        """Accept or reject a sample.
 
         Returns:
-            When a block is full, its rows with those before: the stream's own time,
-            [s], then position and torque, and speed and acceleration where samples
-            bring them. None else.
+            The rows of a block with the past ones, if it is full, else None. A row has
+            the stream's own time, [s], position and torque, then speed and acceleration
+            if samples contain them.
         """
         row = self._row(sample)
-        fate = self._fate(row)
-        self._count[fate] += 1
-        self._lost += (float(fate != "used") - self._lost) * self._news
-        if fate != "used":
-            self._between += fate not in ("late", "repeated")
+        outcome = self._outcome(row)
+        self._count[outcome] += 1
+        self._lost += (float(outcome != "used") - self._lost) * self._gain
+        if outcome != "used":
+            self._between += outcome not in ("late", "repeated")
             return None
-        self._go_on(row)
+        self._advance(row)
         rows = self._rows
         rows[self._filled] = row
         rows[self._filled, 0] = self._clock
@@ -129,7 +130,7 @@ class Intake:
 
     def _row(self, sample: Sample) -> Array:
         parts: list[ArrayLike] = [[sample.t], sample.q, sample.tau]
-        if self._brings == 4:
+        if self._signals == 4:
             if sample.v is None or sample.a is None:
                 raise IdentificationError(
                     "a sample brings no speed and acceleration; without a cut-off, or "
@@ -147,26 +148,28 @@ class Intake:
             )
         return row
 
-    def _fate(self, row: Array) -> str:
-        """What becomes of a sample."""
+    def _outcome(self, row: Array) -> str:
+        """``used``, or why a sample is rejected."""
         stamp, largest = float(row[0]), float(np.abs(row[1:]).max())
         if not (math.isfinite(stamp) and math.isfinite(largest)):
             return "not_finite"
-        if largest > _LARGEST or abs(stamp) > _LATEST or not self._is_torque(row):
+        tau = row[1 + self._n : 1 + 2 * self._n]
+        too_large = largest > _LARGEST or float(tau.dot(tau)) > self._torque**2
+        if too_large or abs(stamp) > _LATEST:
             return "implausible"
         self._measure_rate(stamp)
         if self._last is None:
             return "used"
-        fate = self._follows(self._last, row)
-        if fate in ("used", "repeated"):
-            return fate
-        if self._rival is None or self._follows(self._rival, row) != "used":
+        outcome = self._follows(self._last, row)
+        if outcome in ("used", "repeated"):
+            return outcome
+        if self._candidate is None or self._follows(self._candidate, row) != "used":
             self._followers = 0
-        self._rival, self._followers = row, self._followers + 1
-        return "used" if self._followers > _BELIEVED else fate
+        self._candidate, self._followers = row, self._followers + 1
+        return "used" if self._followers > _RESTART_AFTER else outcome
 
     def _follows(self, before: Array, row: Array) -> str:
-        """Whether one sample is what comes after another: used, or what is wrong."""
+        """``used`` if one sample can follow another, or why it cannot."""
         step = float(row[0] - before[0])
         if step < 0.0:
             return "late"
@@ -180,28 +183,24 @@ class Intake:
             return "jumped"
         return "used" if square <= (self._speed * step) ** 2 else "implausible"
 
-    def _is_torque(self, row: Array) -> bool:
-        tau = row[1 + self._n : 1 + 2 * self._n]
-        return float(tau.dot(tau)) <= self._torque**2
-
-    def _go_on(self, row: Array) -> None:
-        """The stream's clock goes on with a sample."""
+    def _advance(self, row: Array) -> None:
+        """Advance the stream's clock with an accepted sample."""
         step = 1.0 / self._rate if self._last is None else float(row[0]) - self.now
         if step > 0:
             missing = max(0, round(step * self._rate) - 1 - self._between)
             if missing:
                 self._count["missing"] += missing
-                kept = (1.0 - self._news) ** min(missing, 1e9)
+                kept = (1.0 - self._gain) ** min(missing, 1e9)
                 self._lost = 1.0 - (1.0 - self._lost) * kept
-        restart = self._followers > _BELIEVED
+        restart = self._followers > _RESTART_AFTER
         self._count["restarts"] += restart
         self._clock += self._gap if restart else step
-        self._last, self._rival, self._followers, self._between = row, None, 0, 0
+        self._last, self._candidate, self._followers, self._between = row, None, 0, 0
 
     def _measure_rate(self, stamp: float) -> None:
-        """Mean period; what is far from it counts little."""
+        """Update the mean period; outliers are clipped."""
         step = stamp - self._stamp
         self._stamp = stamp
         if step > 0:
-            most = _STEP * self._period
-            self._period += _GAIN * min(max(step - self._period, -most), most)
+            most = _RATE_STEP * self._period
+            self._period += _RATE_GAIN * min(max(step - self._period, -most), most)

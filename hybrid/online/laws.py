@@ -1,4 +1,4 @@
-"""Laws of joints' own states, written down as one function of numbers."""
+"""Laws of single joints, compiled into one function of plain numbers."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from hybrid.effects import Effect, JointEffect, JointState
 from hybrid.errors import HybridError
 from hybrid.online.layout import Indices, RowLayout
 
-STEP = 1e-4  # relative, for slopes of the shapes
+STEP = 1e-4  # relative, for finite differences of the shapes
 
 
 @dataclass(frozen=True)
-class Numbered:
-    """An effect and its unknowns.
+class IndexedEffect:
+    """An effect and the indices of its unknowns.
 
     Attributes:
-        effect: The effect; its shapes are as at first.
-        gains: Unknown of each gain; −1 if it is not tracked.
-        shapes: Unknown of each shape.
+        effect: The effect with its initial shapes.
+        gains: Index of each gain; −1 if it is not tracked.
+        shapes: Index of each shape.
     """
 
     effect: Effect
@@ -33,17 +33,12 @@ class Numbered:
 
 
 class InstantLaws:
-    """Columns of the gains, and slopes of the shapes, of many laws at one instant.
+    """Derivatives of the torque by gains and shapes of many laws at one instant.
 
-    Laws that cannot be written down as operations on numbers, and effects that are no
-    law of one joint's own state, are left in ``others``.
-
-    Args:
-        effects: Effects with their unknowns.
-        layout: Where their columns stand in a row.
+    Laws that cannot be compiled, and effects of more than one joint, are in ``others``.
     """
 
-    def __init__(self, effects: Sequence[Numbered], layout: RowLayout) -> None:
+    def __init__(self, effects: Sequence[IndexedEffect], layout: RowLayout) -> None:
         n, tape = layout.joint_count, Tape()
         names = ["t", *(f"{x}[{j}]" for x in ("q", "v", "a", "load") for j in range(n))]
         t, *signals = (tape.input(name) for name in names)
@@ -54,7 +49,7 @@ class InstantLaws:
             )
         ]
         found: dict[int, Any] = {}
-        self.others: list[Numbered] = []
+        self.others: list[IndexedEffect] = []
         for own in effects:
             try:
                 found |= _columns(own, states, layout, tape)
@@ -70,7 +65,7 @@ class InstantLaws:
     def __call__(
         self, t: float, q: Array, v: Array, a: Array, load: Array, theta: Array
     ) -> Sequence[float]:
-        """Values of the places in ``places``.
+        """Derivatives, for the places of a row in ``places``.
 
         Args:
             t: Time, [s].
@@ -85,9 +80,9 @@ class InstantLaws:
 
 
 def _columns(
-    own: Numbered, states: Sequence[JointState], layout: RowLayout, tape: Tape
+    own: IndexedEffect, states: Sequence[JointState], layout: RowLayout, tape: Tape
 ) -> dict[int, Any]:
-    """Place -> column of a gain or slope of a shape, as symbols."""
+    """Symbolic derivative by each gain and shape, by its place in a row."""
     effect = own.effect
     if not isinstance(effect, JointEffect):
         raise HybridError(f"{effect.id} is no law of one joint's own state")

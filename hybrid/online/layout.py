@@ -1,4 +1,4 @@
-"""Where the rows of all joints stand, side by side in one flat array."""
+"""Layout of the regression rows of all joints in one flat array."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from hybrid.regression.problem import Problem
 
 Indices = NDArray[np.intp]
 
-# Mass and first moments of the last link: what gravity and slow motion show at once.
+# Mass and first moments of the last link, which gravity and slow motion show at once.
 PAYLOAD = 4
 _EXTRA = PAYLOAD + 2
 
 
 class RowLayout:
-    """Places of a flat row: joint after joint, the unknowns that ever move its torque.
+    """Places of all values in a flat row.
 
-    Behind them stand the joint's derivatives by mass and first moments of the last
-    link, its torque, and whether it moves. The unknowns are those of the problem, then
-    the shapes of its effects in order.
+    For each joint in turn: the derivatives of its torque by the unknowns that change
+    it, and by mass and first moments of the last link; its torque; and whether it
+    moves. The unknowns are those of the problem, then the shapes of its effects.
 
     Args:
-        problem: Which parameters count.
-        shapes: Whether shapes have places; they are held if not.
+        problem: The unknowns.
+        shapes: Whether shapes have places; they are constant if not.
     """
 
     def __init__(self, problem: Problem, shapes: bool) -> None:
@@ -50,7 +50,7 @@ class RowLayout:
         self.unknowns = unknowns
 
     def place(self, joint: int, unknown: int) -> int:
-        """Place of an unknown in the row of a joint; −1 if it has none."""
+        """Place of an unknown in the part of a joint; −1 if it has none."""
         return self._place.get((joint, unknown), -1)
 
     def derivative(self, row: Array) -> Array:

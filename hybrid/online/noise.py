@@ -1,4 +1,4 @@
-"""Size and correlation of torque errors, tracked."""
+"""Tracking of the variance and the correlation in time of torque errors."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from hybrid.arrays import Array
 
 _MEMORY = 5.0  # s
-_FIRST = 20  # updates over which the first guess counts
-_CUT = 9.0  # of the variance: most that one square, or one product, counts
-_MOST_CORRELATED = 0.98
+_INITIAL_UPDATES = 20  # that the initial variance is worth
+_MOST_SQUARED = 9.0  # of the variance: where one square, or one product, is clipped
+_MOST_CORRELATION = 0.98
 
 
 class TorqueNoise:
-    """Size and correlation in time of the errors of each joint, with fading memory.
+    """Variance of each joint's error and its correlation in time, with fading memory.
 
     Args:
-        std: First guess of the standard deviation, shape (n,), [N·m].
+        std: Initial standard deviation, shape (n,), [N·m].
         rate: Updates per second, [Hz].
     """
 
@@ -27,8 +27,8 @@ class TorqueNoise:
         self._least = [1e-12 * x for x in self._variance]
         self._last = [0.0] * len(self._variance)
         self._count = [0] * len(self._variance)
-        self._lagged = 0.0
-        self._slowest = 1.0 / (_MEMORY * rate)
+        self._correlation = 0.0
+        self._least_share = 1.0 / (_MEMORY * rate)
 
     @property
     def std(self) -> Array:
@@ -36,28 +36,29 @@ class TorqueNoise:
         return np.asarray(np.sqrt(self._variance))
 
     @property
-    def repeats(self) -> float:
-        """Successive errors that tell as much as one independent one.
+    def inflation(self) -> float:
+        """Number of successive errors that count as one independent error.
 
-        (1 + ρ)/(1 − ρ) where errors follow each other with correlation ρ.
+        It is (1 + ρ)/(1 − ρ) for a correlation ρ of successive errors.
         """
-        rho = min(max(self._lagged, 0.0), _MOST_CORRELATED)
+        rho = min(max(self._correlation, 0.0), _MOST_CORRELATION)
         return (1.0 + rho) / (1.0 - rho)
 
     def update(self, joints: Sequence[int], error: Sequence[float]) -> None:
-        """Take in errors of the joints that are used, at unit leverage, [N·m]."""
-        # Plain numbers: for a handful of joints they are faster than arrays.
+        """Add errors of the moving joints, at unit leverage, [N·m]."""
+        # Plain numbers are faster than arrays for a few joints.
         last, self._last = self._last, [0.0] * len(self._last)
         products, least = [], 1.0
         for j, e in zip(joints, error, strict=True):
             self._count[j] += 1
-            share = max(self._slowest, 1.0 / (_FIRST + self._count[j]))
+            share = max(self._least_share, 1.0 / (_INITIAL_UPDATES + self._count[j]))
             least, variance = min(least, share), self._variance[j]
             if last[j]:
-                products.append(min(max(e * last[j] / variance, -_CUT), _CUT))
-            # Cut, so that a change or a blow does not pass for noise.
-            news = share * (min(e * e, _CUT * variance) - variance)
-            self._variance[j] = max(variance + news, self._least[j])
+                product = e * last[j] / variance
+                products.append(min(max(product, -_MOST_SQUARED), _MOST_SQUARED))
+            # Clipped, so that a payload change or an impact does not count as noise.
+            change = share * (min(e * e, _MOST_SQUARED * variance) - variance)
+            self._variance[j] = max(variance + change, self._least[j])
             self._last[j] = e
         mean = sum(products) / len(products) if products else 0.0
-        self._lagged += least * (mean - self._lagged)
+        self._correlation += least * (mean - self._correlation)

@@ -1,4 +1,4 @@
-"""Detect that the last link has taken or lost a payload.
+"""Detection of a payload grasped or dropped by the last link.
 
 Source: Willsky and Jones 1976, doi 10.1109/TAC.1976.1101146 (generalised likelihood
 ratio of a jump, here with fading memory).
@@ -15,18 +15,18 @@ from scipy.linalg import lapack
 from hybrid.arrays import Array
 from hybrid.online.layout import PAYLOAD
 
-_THRESHOLD = 50.0
-_HOLD = 1.0  # s after a change in which none is looked for
-_LEARNING = 10.0  # s at first in which none is looked for
+_THRESHOLD = 50.0  # of the likelihood-ratio statistic
+_HOLD = 1.0  # s without detection after a change
+_LEARNING = 10.0  # s without detection at the start
 
 
 @dataclass(frozen=True)
 class Change:
-    """A payload grasped or dropped; which, and its mass, the next samples tell.
+    """A payload was grasped or dropped; the next samples show its mass.
 
     Attributes:
-        t: When it was noticed, [s].
-        statistic: Likelihood-ratio statistic, about χ² with 4 degrees of freedom while
+        t: Time of the detection, [s].
+        statistic: Likelihood-ratio statistic; about χ² with 4 degrees of freedom if
             nothing changes.
     """
 
@@ -37,7 +37,7 @@ class Change:
 def likely_payload(
     change: Array, covariance: Array, directions: Array, sizes: Array
 ) -> Array:
-    """The likeliest payload behind a change of all unknowns, shape (10,).
+    """The most probable payload for a change of the unknowns, shape (10,).
 
     Args:
         change: Change of the unknowns, shape (d,).
@@ -47,18 +47,19 @@ def likely_payload(
     """
     used = np.any(directions != 0, axis=1)
     D = directions[used]
-    whole = covariance[np.ix_(used, used)] + D @ D.T
-    return np.asarray(sizes * (D.T @ np.linalg.solve(whole, change[used])))
+    total = covariance[np.ix_(used, used)] + D @ D.T
+    return np.asarray(sizes * (D.T @ np.linalg.solve(total, change[used])))
 
 
 class PayloadChange:
-    """Fading sums of what torque errors say about mass and first moments held.
+    """Likelihood-ratio test for a jump of the mass and first moments of the last link.
 
     Args:
-        memories: Time constants of the sums, [s]: short for heavy, long for light.
         rate: Updates per second, [Hz].
-        mass: Usual payload, [kg].
+        mass: Usual mass of a payload, [kg].
         reach: Usual distance of its centre from the last joint, [m].
+        memories: Time constants of the fading sums, [s]: a short one for heavy
+            payloads, a long one for light ones.
     """
 
     def __init__(
@@ -72,45 +73,43 @@ class PayloadChange:
         self._fade = np.exp(-1.0 / (rate * np.array(memories)))
         usual = np.array([mass, *3 * [mass * reach]])
         self._prior = np.diag(1.0 / usual**2)
-        # Information of the derivatives, with their products with the errors behind.
+        # Information matrix of the derivatives; in the last column their products with
+        # the errors.
         self._sums = np.zeros((len(memories), PAYLOAD, PAYLOAD + 1))
-        self._quiet_until: float | None = None
+        self._ignore_until: float | None = None
 
-    def hear(self, J: Array, error: Array) -> None:
-        """Take in one sample.
+    def add(self, J: Array, error: Array) -> None:
+        """Add one row.
 
         Args:
-            J: Torque per unit of the last link's mass and first moments, over its
-                standard deviation, shape (m, 4).
-            error: Torque less its prediction over that, shape (m,).
+            J: Torque per unit of the last link's mass and first moments, over the
+                standard deviation of the error, shape (m, 4).
+            error: Prediction error over its standard deviation, shape (m,).
         """
         self._sums *= self._fade[:, None, None]
         self._sums[:, :, :PAYLOAD] += J.T @ J
         self._sums[:, :, PAYLOAD] += J.T @ error
 
-    def noticed(self, t: float, repeats: float) -> float | None:
-        """Judge what was heard.
+    def detect(self, t: float, inflation: float) -> float | None:
+        """The statistic of a change if one is detected, else None.
 
         Args:
             t: Time, [s].
-            repeats: Successive errors that tell as much as one independent one.
-
-        Returns:
-            The statistic of a change, when one is noticed.
+            inflation: Number of successive errors that count as one independent error.
         """
-        if self._quiet_until is None:
-            self._quiet_until = t + _LEARNING
-        largest = max(map(self._statistic, self._sums, self._fade, repeat(repeats)))
-        if largest < _THRESHOLD or t < self._quiet_until:
+        if self._ignore_until is None:
+            self._ignore_until = t + _LEARNING
+        largest = max(map(self._statistic, self._sums, self._fade, repeat(inflation)))
+        if largest < _THRESHOLD or t < self._ignore_until:
             return None
         self._sums[:] = 0.0
-        self._quiet_until = t + _HOLD
+        self._ignore_until = t + _HOLD
         return largest
 
-    def _statistic(self, sums: Array, fade: float, repeats: float) -> float:
-        """Likelihood ratio of a jump, by the sums of one memory."""
-        # What a sum holds counts as one independent error at least.
-        share = 1.0 / min(repeats, 1.0 / (1.0 - fade))
+    def _statistic(self, sums: Array, fade: float, inflation: float) -> float:
+        """Likelihood ratio of a jump, from the sums of one memory."""
+        # A sum counts as at least one independent error.
+        share = 1.0 / min(inflation, 1.0 / (1.0 - fade))
         score = share * sums[:, PAYLOAD]
         _, jump, _ = lapack.dposv(share * sums[:, :PAYLOAD] + self._prior, score)
         # The variance of a sum with fading weights is 1/(1 + fade) of its information.

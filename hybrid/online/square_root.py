@@ -1,4 +1,4 @@
-"""Recursive least squares in square-root form that forgets only what it hears anew.
+"""Recursive least squares in square-root form, with directional forgetting.
 
 Source: Kaminski, Bryson and Schmidt 1971, doi 10.1109/TAC.1971.1099816 (square roots);
 Kulhavý and Kárný 1984, doi 10.1016/S1474-6670(17)61051-6, and Cao and Schwartz 2000,
@@ -13,20 +13,20 @@ from scipy.linalg import blas, lapack
 
 from hybrid.arrays import Array
 
-_ROUNDING = 1e-12  # information, or share of a variance, below which there is none
+_ROUNDING = 1e-12  # information, or relative variance, that is rounding error
 
 
 class SquareRootFilter:
-    """Estimate and square root S of its covariance P = S·Sᵀ, which never leaves PSD.
+    """Estimate and square root S of its covariance P = S·Sᵀ, which stays PSD.
 
-    A sample brings information σ² in each of the directions it looks in. In such a
-    direction, old information 1 is discounted to max(λ, 1 − σ²): by no more than is
-    brought. So the covariance never grows by itself, whatever the excitation (no
-    windup), and where excitation persists it settles at (1 − λ) of the noise, which
-    keeps the gain of a memory of about d/(1 − λ) observations.
+    An observation brings information σ² in each direction that it measures. There, old
+    information 1 is discounted to max(λ, 1 − σ²), so by no more than is gained. The
+    covariance thus never grows without excitation (no windup). Under persistent
+    excitation it settles at (1 − λ) of the noise, which is the gain of a memory of
+    about d/(1 − λ) observations.
 
     Args:
-        mean: First estimate, shape (d,).
+        mean: Initial estimate, shape (d,).
         root: Square root of its covariance, shape (d, d).
     """
 
@@ -44,8 +44,8 @@ class SquareRootFilter:
         """Standard deviation of each unknown, shape (d,)."""
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
 
-    def seen(self, H: Array) -> Array:
-        """H·S, shape (m, d): what the unknowns' spread gives to observations.
+    def project(self, H: Array) -> Array:
+        """H·S, shape (m, d): square root of the predicted observation covariance.
 
         Args:
             H: Derivative of the observations by the unknowns, over their noise, (m, d).
@@ -53,47 +53,47 @@ class SquareRootFilter:
         return np.asarray(H @ self.root)
 
     def update(self, H: Array, error: Array, forgetting: float = 1.0) -> None:
-        """Take in one sample of unit noise.
+        """Update with one observation of unit noise.
 
         Args:
             H: Derivative of the observation by the unknowns over its noise, (m, d).
             error: Observation less its prediction over the noise, shape (m,).
-            forgetting: λ, at most 1.
+            forgetting: Forgetting factor λ, at most 1.
         """
-        self.weigh(self.seen(H), error, forgetting)
-        self.narrow()
+        self.begin_update(self.project(H), error, forgetting)
+        self.finish_update()
 
-    def weigh(self, seen: Array, error: Array, forgetting: float) -> None:
-        """First half of :meth:`update`: in which directions the sample tells how much.
+    def begin_update(self, projected: Array, error: Array, forgetting: float) -> None:
+        """First half of :meth:`update`: the information in each measured direction.
 
         Args:
-            seen: See :meth:`seen`.
+            projected: Result of :meth:`project`.
             error: See :meth:`update`.
-            forgetting: λ, at most 1.
+            forgetting: Forgetting factor λ, at most 1.
         """
-        power, turn, _ = lapack.dsyevd(seen @ seen.T)
+        power, turn, _ = lapack.dsyevd(projected @ projected.T)
         power = np.maximum(power, _ROUNDING)
         total = np.maximum(forgetting + power, 1.0)
         shrink = (1.0 / np.sqrt(total) - 1.0) / power
-        self._due = turn.T @ seen, shrink, (error @ turn) / total
+        self._pending = turn.T @ projected, shrink, (error @ turn) / total
 
-    def narrow(self) -> None:
-        """Second half of :meth:`update`: the mean moves and the root narrows."""
-        turned, shrink, gain = self._due
+    def finish_update(self) -> None:
+        """Second half of :meth:`update`: change the mean and the root."""
+        turned, shrink, gain = self._pending
         moved = self.root @ turned.T  # (d, m)
         self.mean += moved @ gain
         self.root = blas.dgemm(
             1.0, moved * shrink, turned, 1.0, self.root, overwrite_c=True
         )
 
-    def widen(self, directions: Array) -> None:
+    def add_covariance(self, directions: Array) -> None:
         """Add the covariance D·Dᵀ of ``directions`` D (d, r)."""
         stacked = np.concatenate([self.root, directions], axis=1)
         upper: Array = np.asarray(np.linalg.qr(stacked.T, mode="r"))
         self.root = np.asfortranarray(upper.T)
 
-    def keep_within(self, lower: Array, upper: Array) -> None:
-        """Move the estimate to the nearest point, in its own metric, on bounds passed.
+    def clip(self, lower: Array, upper: Array) -> None:
+        """Project an estimate outside its bounds onto them, in its own metric.
 
         Args:
             lower: Lowest values, shape (d,).
@@ -107,6 +107,6 @@ class SquareRootFilter:
         variance = rows @ rows.T
         variance.flat[:: len(passed) + 1] *= 1.0 + _ROUNDING
         _, force, failed = lapack.dposv(variance, inside[passed] - self.mean[passed])
-        if not failed:  # else one has no variance at all, and moves alone
+        if not failed:  # else an unknown has no variance and is clipped alone
             self.mean += self.root @ (rows.T @ force)
         np.minimum(np.maximum(self.mean, lower), upper, out=self.mean)

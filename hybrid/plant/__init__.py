@@ -1,4 +1,4 @@
-"""A simulated arm with known effects: where recordings with a known truth come from."""
+"""A simulated arm with known effects, which makes recordings with a known truth."""
 
 from hybrid.plant.install import install
 from hybrid.plant.noise import Noise

@@ -1,4 +1,4 @@
-"""Robot + effects -> compiled MuJoCo model, with dofs found by joint name."""
+"""Compilation of a robot with effects to a MuJoCo model."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ INTEGRATORS = {
     "implicitfast": "mjINT_IMPLICITFAST",
     "rk4": "mjINT_RK4",
 }
-# Dry friction holds a joint as a soft constraint; this is how nearly it is hard. A
-# joint stuck under a torque creeps at (1 − impedance)·step of its free acceleration.
+# Impedance of dry friction, which MuJoCo holds as a soft constraint. A stuck joint
+# creeps with (1 − impedance)·step of its free acceleration.
 IMPEDANCE = 0.9999
 _HOOKS = (
     "edit_spec", "command", "tune", "deliver", "follow", "resist", "push", "sense",
@@ -34,15 +34,15 @@ _HOOKS = (
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A compiled arm of n motor joints, some of them with a deflection behind.
+    """A compiled arm of n motor joints, some of them in series with a deflection.
 
     Attributes:
         model: MuJoCo model; its dofs are motor joints and deflections, in any order.
         motor: Dof of each motor joint, shape (n,).
-        elastic: Joints that deflect, shape (m,), as indices of the arm; one that both
-            twists and has play occurs twice.
+        elastic: Joint index of each deflection, shape (m,); a joint with elasticity and
+            backlash occurs twice.
         deflection: Dof of each deflection, shape (m,).
-        behind: What each of them is, as :attr:`Effect.behind` calls it.
+        behind: Kind of each deflection, see :attr:`Effect.behind`.
         armature: Rotor inertia of each motor joint, shape (n,), [kg·m²].
         tip: MuJoCo body of the last link.
     """
@@ -62,7 +62,7 @@ def build_arm(
     """Compile an arm with the effects that MuJoCo simulates itself.
 
     Args:
-        robot: The arm, with the friction and rotors its file declares.
+        robot: The arm, with the friction and rotors of its file.
         effects: Effects; they edit the spec in the order of their ports, so that a
             spring finds the rotor it needs.
         step: Physics step, [s].
@@ -91,7 +91,7 @@ def build_arm(
         raise HybridError(f"MuJoCo refuses {robot.name!r}: {reason}") from error
     model.opt.timestep = step
     model.opt.integrator = getattr(mujoco.mjtIntegrator, INTEGRATORS[integrator])
-    # A reset in mid-run would silently teleport the arm; Lockstep stops instead.
+    # An automatic reset would move the arm without a warning; Lockstep stops instead.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     model.opt.tolerance = 1e-12
     for solref, solimp in (
@@ -125,26 +125,37 @@ def _indexed(model: Any, joints: Sequence[str], kinds: Iterable[str]) -> Arm:
 
 
 def overrides(effect: Effect, hook: str) -> bool:
-    """Whether the effect's class has a hook of its own."""
+    """Whether the class of an effect overrides a hook."""
     return getattr(type(effect), hook) is not getattr(Effect, hook)
 
 
 def has_hook(effect: Effect) -> bool:
-    """Whether the effect's class says itself how a plant realises it."""
+    """Whether the class of an effect overrides any hook of the plant."""
     return any(overrides(effect, hook) for hook in _HOOKS)
 
 
 def drives(effect: Effect) -> bool:
-    """Whether the drive delivers a torque that differs from the commanded one."""
+    """Whether the effect changes the torque between command and delivery."""
     return overrides(effect, "deliver") or overrides(effect, "follow")
 
 
+def encoder_readings(
+    effects: Sequence[Effect], q: Array, v: Array
+) -> tuple[Array, Array]:
+    """Position and speed that the encoders show for the true ones, shape (B, n)."""
+    for effect in effects:
+        if overrides(effect, "sense"):
+            q, v, j = q.copy(), v.copy(), list(effect.joints)
+            q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
+    return q, v
+
+
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
-    """Check that every effect has a realisation and joints of an arm of n joints.
+    """Check that a plant of n joints can simulate the effects.
 
     Raises:
-        EffectError: One is no effect, has neither a hook nor a law, or a joint out of
-            range.
+        EffectError: An item is no effect, has neither a hook nor a law, or a joint out
+            of range.
     """
     check_effects(effects)
     for effect in effects:

@@ -1,4 +1,4 @@
-"""A simulation on disk: a folder of recordings and what is true of them."""
+"""Files of a simulation: recordings and their truth."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ TRUTH = "truth.json"
 
 
 def content_from_plant(plant: Plant) -> dict[str, Any]:
-    """What is true of a simulated arm, for JSON.
+    """JSON-ready truth of a simulated arm.
 
-    The effects are those that the robot file does not know; ``inertial`` holds the
-    real link parameters, shape (n, 10), and ``torque_covariance`` the noise of the
+    The effects are those that the robot file does not have. ``inertial`` holds the
+    true link parameters, shape (n, 10), and ``torque_covariance`` the noise of the
     torque sensors, shape (n, n), [N²·m²].
     """
     joints, noise = plant.robot.joints, plant.noise
@@ -46,7 +46,7 @@ def write_run(
     """Write the recordings of a run and its truth.
 
     Args:
-        folder: Where the files shall be; files of the same names are replaced.
+        folder: Folder of the files; files of the same names are replaced.
         recordings: Joint logs.
         truth: JSON-ready content of ``truth.json``.
         suffix: ``.csv``, ``.parquet`` or ``.npz``.

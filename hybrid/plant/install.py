@@ -1,4 +1,4 @@
-"""Add effects and learned torque that MJCF lacks while MuJoCo steps."""
+"""Effects and learned torque added to a running MuJoCo simulation."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hybrid.effects import Effect, JointState
 from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
+from hybrid.plant.joint_fields import split_effects, springs
 from hybrid.plant.laws import Laws, part
-from hybrid.plant.native import split_effects, springs
 from hybrid.robot.actuators import passive_motors
 from hybrid.robot.mjcf import knee_slope, single_tendons
 from hybrid.robot.robot import Robot
@@ -34,7 +34,7 @@ class _Remainder(Protocol):
 
 
 class _Model(Protocol):
-    """What is needed of a dynamic model."""
+    """The part of a dynamic model that is used here."""
 
     @property
     def robot(self) -> Robot: ...
@@ -45,10 +45,10 @@ class _Model(Protocol):
 
 
 class Installed:
-    """The torque that is added to one simulation; ``remove`` takes it out again.
+    """The torque added to one simulation, until ``remove`` is called.
 
     Attributes:
-        left_out: Effects that cannot be added to a simulator's torque.
+        left_out: Effects that cannot be added as torque.
     """
 
     def __init__(self, model: Any, data: Any, dynamic_model: _Model) -> None:
@@ -71,11 +71,11 @@ class Installed:
         self._declared = model.dof_frictionloss.copy()
         self._time, self._added, self._armature = -np.inf, 0.0, 0.0
         hooked = [e for e in rest if has_hook(e) and e not in self._resisting]
-        # What a simulator's actuator has is in the file.
+        # Effects of an actuator are in the exported file.
         self.left_out = tuple(e.id for e in hooked if not e.actuator)
 
     def _set_fields(self, values: Mapping[str, Array]) -> None:
-        """Set friction to the model's own, where the file has what stands in for it."""
+        """Replace the file's approximate friction by that of the model."""
         model, dof = self._model, self._dof
         joints = model.dof_jntid[dof]
         stiffness, relaxed = springs(values)
@@ -85,16 +85,17 @@ class Installed:
         model.dof_dampingpoly[dof] = np.c_[values["quadratic"], values["cubic"]]
         model.dof_frictionloss[dof] = values["frictionloss"]
         rising = [d for d in dof if np.isfinite(knee_slope(model)[d])]
-        model.dof_solref[rising], model.dof_solimp[rising, :2] = _dry(model)
-        beside = [t for t, at, _ in single_tendons(model) if at in dof]
-        model.tendon_frictionloss[beside] = 0.0
+        model.dof_solref[rising] = 2.0 * model.opt.timestep, 1.0
+        model.dof_solimp[rising, :2] = IMPEDANCE
+        tendons = [t for t, at, _ in single_tendons(model) if at in dof]
+        model.tendon_frictionloss[tendons] = 0.0
         motors = [a for a, joint, _ in passive_motors(model) if joint in joints]
         for size in (0, 3, 4):  # of cogging, and of bristles' friction
             model.actuator_biasprm[motors, size] = 0.0
         model.actuator_dynprm[motors, 6] = 0.0  # damping of bristles
 
     def remove(self) -> None:
-        """Leave the simulation as it was."""
+        """Restore the simulation."""
         for name, x in self._before.items():
             getattr(self._model, name)[:] = x
         _INSTALLED.pop(id(self._data), None)
@@ -104,7 +105,7 @@ class Installed:
             mujoco.set_mjcb_passive(None)
 
     def add(self, model: Any, data: Any) -> None:
-        """Add to passive forces, and set friction levels for the next step."""
+        """Add the torque to passive forces, and set friction for the next step."""
         dof = self._dof
         q = data.qpos[model.jnt_qposadr[model.dof_jntid[dof]]][None]
         v, a = data.qvel[dof][None], data.qacc[dof][None]
@@ -139,27 +140,22 @@ class Installed:
         return np.asarray((driven + kept)[None] - self._armature * a)
 
 
-def _dry(model: Any) -> tuple[tuple[float, float], float]:
-    """How MuJoCo makes friction dry, as reference and impedance."""
-    return (2.0 * model.opt.timestep, 1.0), IMPEDANCE
-
-
 _INSTALLED: dict[int, Installed] = {}
 
 
 def install(
     model: mujoco.MjModel, data: mujoco.MjData, dynamic_model: _Model
 ) -> Installed:
-    """Add what MJCF cannot express to a running simulation.
+    """Add the effects that MJCF cannot express to a running simulation.
 
-    MuJoCo knows links, rotors, viscous and dry friction of a joint; an exported MJCF
-    file holds them, and of a curve over speed what comes nearest to it. This puts the
-    curve itself in its place, and adds the rest of the model's effects, and its learned
-    torque, by MuJoCo's passive-force callback, of which a process has one: other code
-    that sets it takes this out.
+    An exported MJCF file has the links, rotors, viscous and dry friction of a model,
+    and an approximation of friction curves. This replaces the approximation by the
+    curve, and adds the other effects and the learned torque. It uses MuJoCo's
+    passive-force callback, of which a process has only one: other code that sets the
+    callback removes this.
 
     Args:
-        model: The exported MJCF file, compiled; it may hold other things, too.
+        model: The exported MJCF file, compiled; it may contain other bodies too.
         data: The simulation.
         dynamic_model: The model that was exported.
 

@@ -1,4 +1,4 @@
-"""Inverse dynamics of an MJCF file, with all that is in it, as MuJoCo computes it."""
+"""Inverse dynamics of a whole MJCF file, computed by MuJoCo."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ def file_inverse_dynamics(
 ) -> Array:
     """Torque of MuJoCo's inverse dynamics along a motion, shape (N, n), [N·m].
 
-    Dry friction is that of the speed at the start of a step, not at its end, and as it
-    is where speed lasts.
+    Dry friction is taken at the speed at the start of a step, and in steady sliding.
 
     Args:
         file: The MJCF file.
@@ -62,7 +61,7 @@ def file_inverse_dynamics(
 
 
 def _slide(model: Any, data: Any, motors: Sequence[tuple[int, int, float]]) -> None:
-    """Bend bristles (LuGre) as far as they are bent where speed lasts."""
+    """Set the bristles of LuGre friction to their deflection in steady sliding."""
     for a, _, _ in motors:
         level, static, speed = model.actuator_biasprm[a, 3:6]
         stiffness = model.actuator_dynprm[a, 5]

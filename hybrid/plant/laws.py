@@ -1,4 +1,4 @@
-"""Laws of many joints and trajectories, evaluated together once per step."""
+"""Laws of many joints and trajectories, evaluated together at each step."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Laws:
 
     def __init__(self, effects: Sequence[Effect], batch: int, size: int) -> None:
         laws = [e for e in effects if isinstance(e, JointEffect) and not has_hook(e)]
-        self._groups = [_group(alike) for alike in _alike(laws)]
+        self._groups = [_group(group) for group in _grouped(laws)]
         self.dry = np.zeros((batch, size))
         self.drive = np.zeros((batch, size))
         self.link = np.zeros((batch, size))
@@ -68,13 +68,13 @@ class Laws:
             getattr(self, group.side)[:, group.where] += group.torque(parts[key])
 
 
-def _alike(laws: Sequence[JointEffect]) -> list[list[JointEffect]]:
-    """Effects of one class, in groups in which no joint occurs twice."""
+def _grouped(laws: Sequence[JointEffect]) -> list[list[JointEffect]]:
+    """Groups of effects of one class in which no joint occurs twice."""
     groups: list[list[JointEffect]] = []
     for effect in laws:
         for group in groups:
-            taken = {e.joints for e in group}
-            if type(group[0]) is type(effect) and effect.joints not in taken:
+            occupied = {e.joints for e in group}
+            if type(group[0]) is type(effect) and effect.joints not in occupied:
                 group.append(effect)
                 break
         else:
@@ -92,8 +92,8 @@ def _group(effects: Sequence[JointEffect]) -> _Group:
         s.name: np.array([e.values[s.name] for e in effects]) for s in first.shapes
     }
     if first.dry and "width" in shapes:
-        # A width smooths the sign for a fit. Here the constraint solver does the
-        # sticking, and needs the full level down to standstill.
+        # A width smooths the sign for a fit. The constraint solver simulates sticking
+        # and needs the full level down to standstill.
         shapes["width"] = np.zeros(len(effects))
     link = first.port is Port.ENVIRONMENT
     return _Group(

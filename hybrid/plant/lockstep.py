@@ -1,4 +1,4 @@
-"""All trajectories of one arm, advanced together step by step."""
+"""Simulation of several trajectories of one arm together, step by step."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, drives, overrides
 from hybrid.plant.laws import Laws, part
 
-# Nothing real turns this fast: the simulation has diverged.
-_FASTEST = 1e3  # rad/s
+_FASTEST = 1e3  # rad/s; a faster simulation has diverged
 
 
 class Lockstep:
     """State of B trajectories of an arm of n joints.
 
-    Python runs once per step for all trajectories; only ``mj_step`` itself is called
-    for each. Dry laws are written to each model's friction loss, so that MuJoCo's
-    constraint solver does the sticking; the other laws are applied torque.
+    Python code runs once per step for all trajectories; only ``mj_step`` is called for
+    each. Dry friction is written to each model's friction loss, so that MuJoCo's
+    constraint solver simulates sticking. The other laws are applied as torque.
 
     Attributes:
         q: Motor position, shape (B, n), [rad].
@@ -55,7 +54,7 @@ class Lockstep:
         self._drives = [e for e in effects if drives(e)]
         self._resisting = [e for e in effects if overrides(e, "resist")]
         self._pushing = [e for e in effects if overrides(e, "push")]
-        # What drives delivered, and effects with a past resisted with, a step ago.
+        # Delivered torque, and torque of effects with memory, one step ago.
         self._before: list[Array | None] = [None] * len(self._drives)
         self._resisted = [np.zeros((batch, len(e.joints))) for e in self._resisting]
         self._models = [copy.copy(arm.model) for _ in range(batch)]
@@ -72,14 +71,14 @@ class Lockstep:
         self._applied = np.zeros((batch, arm.model.nv))
         self._friction = np.tile(self._declared, (batch, 1))
         self._time = np.zeros((batch, n))
-        self._balance(start)
+        self._settle(start)
         self.a = np.zeros((batch, n))
         self.load = np.zeros((batch, n))
-        self._tendency = np.zeros((batch, n))
+        self._net_torque = np.zeros((batch, n))
         self._read()
 
-    def _balance(self, start: Array) -> None:
-        """Let what is behind the motors hang in equilibrium with gravity."""
+    def _settle(self, start: Array) -> None:
+        """Set deflections to equilibrium with gravity."""
         import mujoco
 
         arm = self._arm
@@ -98,7 +97,7 @@ class Lockstep:
         """Advance with a torque held.
 
         Args:
-            torque: Torque the drives believe to deliver, shape (B, n), [N·m].
+            torque: Commanded torque, shape (B, n), [N·m].
             substeps: Number of physics steps.
 
         Raises:
@@ -118,7 +117,7 @@ class Lockstep:
         delivered, step = torque.copy(), self._arm.model.opt.timestep
         for k, effect in enumerate(self._drives):
             before = self._before[k]
-            before = delivered if before is None else before  # it has settled
+            before = delivered if before is None else before  # steady at the start
             for j in effect.joints:
                 delivered[:, j] = effect.follow(delivered[:, j], before[:, j], step)
             self._before[k] = delivered.copy()
@@ -135,7 +134,7 @@ class Lockstep:
             self._resist(motor)
             applied[:, arm.motor] = delivered - laws.drive - laws.link
             applied[:, arm.deflection] = -laws.link[:, arm.elastic]
-            # One direction's law may be negative; only the sum cannot be.
+            # A single law may be negative; only the sum must not be.
             level = self._declared[arm.motor] + motor.sign * laws.dry
             self._friction[:, arm.motor] = np.maximum(level, 0.0)
             for target, row in zip(self._levels, self._friction, strict=True):
@@ -154,20 +153,20 @@ class Lockstep:
             self._laws.drive[:, j] += self._resisted[k]
 
     def _push(self) -> None:
-        """Let the surroundings push back on the last link."""
+        """Apply the forces of the environment to the last link."""
         tip = self._arm.tip
         for data in self._datas:
             wrench = -np.sum([e.push(data.time) for e in self._pushing], axis=0)
-            # MuJoCo wants the moment about the centre of mass.
+            # MuJoCo needs the moment about the centre of mass.
             lever = data.xpos[tip] - data.xipos[tip]
             data.xfrc_applied[tip, :3] = wrench[:3]
             data.xfrc_applied[tip, 3:] = wrench[3:] + np.cross(lever, wrench[:3])
 
     def _states(self) -> tuple[JointState, JointState]:
-        """What the laws see, on the motor's and on the link's side."""
-        # A joint at perfect rest is about to move where the other torques push it. One
-        # held by friction creeps that way, so that its speed has the sign already.
-        push = np.where(self._tendency < 0.0, -1.0, 1.0)
+        """States on the motor's and on the link's side, as inputs of the laws."""
+        # A joint exactly at rest will move in the direction of the net torque. A joint
+        # held by friction creeps in that direction already.
+        push = np.where(self._net_torque < 0.0, -1.0, 1.0)
         sign = np.where(self.v == 0.0, push, np.sign(self.v))
         self._time[:] = [[data.time] for data in self._datas]
         warm = self.temperature
@@ -192,18 +191,18 @@ class Lockstep:
             )
 
     def _read_torque(self, delivered: Array) -> None:
-        """What laws of the next step need: acceleration, push and transmitted load."""
+        """Read acceleration, net torque and transmitted load for the next step."""
         arm, motor = self._arm, self._arm.motor
         passive = self._gather("qfrc_passive")
         self.a = self._gather("qacc")[:, motor]
-        self._tendency = self._gather("qfrc_smooth")[:, motor]
+        self._net_torque = self._gather("qfrc_smooth")[:, motor]
         self.load = (
             delivered - self._laws.drive
             + passive[:, motor]
             + self._gather("qfrc_constraint")[:, motor]
             - arm.armature * self.a
         )  # fmt: skip
-        # Behind a spring or a play the load is what these pass on.
+        # With a spring or backlash, the load is the torque that these transmit.
         stops = self._gather("qfrc_constraint")[:, arm.deflection]
         self.load[:, arm.elastic] = passive[:, arm.deflection] + stops
 

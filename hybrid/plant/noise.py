@@ -10,15 +10,15 @@ from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.robot.robot import Robot
 
-# Usual sizes: see `Noise.typical`.
-_TORQUE_FRACTION, _NEIGHBOUR_CORRELATION = 0.005, 0.4
+# See `Noise.typical`.
+_TORQUE_FRACTION, _NEIGHBOUR_CORRELATION = 0.005, 0.4  # of the rated torque; 1
 _ENCODER_BITS = 19
-_SPEED_STD = 1e-3
+_SPEED_STD = 1e-3  # rad/s
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """What sensors add to the signals of an arm of n joints.
+    """Sensor noise of an arm of n joints.
 
     Attributes:
         torque_covariance: Covariance of the torque noise between joints, shape
@@ -71,7 +71,7 @@ class Noise:
 
     @classmethod
     def typical(cls, robot: Robot) -> Noise:
-        """A common industrial arm.
+        """Noise of a common industrial arm.
 
         Torque noise of 0.5 % of rated torque, correlated 0.4 between neighbours and
         0.4ᵏ over k joints; a 19-bit encoder; speed noise of 1 mrad/s.
@@ -139,7 +139,7 @@ class Noise:
 def rated_torque(robot: Robot) -> Array:
     """Rated torque of every joint, shape (n,), [N·m].
 
-    Where the robot file states none: twice the largest gravity torque over a hundred
+    Without one in the robot file: twice the largest gravity torque over a hundred
     postures, and at least 1 N·m.
     """
     if np.isfinite(robot.tau_max).all():

@@ -1,4 +1,4 @@
-"""The simulated arm that data comes from."""
+"""The simulated arm with controller and sensors."""
 
 from __future__ import annotations
 
@@ -11,36 +11,33 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import HybridError, HybridWarning
-from hybrid.plant.arm import Arm, build_arm, drives, overrides
+from hybrid.plant.arm import Arm, build_arm, drives, encoder_readings, overrides
+from hybrid.plant.joint_fields import falls, knees, ripples
 from hybrid.plant.lockstep import Lockstep
-from hybrid.plant.native import falls, knees, ripples
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import Reference
 from hybrid.plant.servo import Servo
 from hybrid.recording.recording import Recording
 from hybrid.robot.robot import Robot
 
-# The arm waits this long at the start of a motion, so that the servo has taken up
-# gravity and friction before the record begins.
-_SETTLE = 0.5  # s
-_OFTEN_SATURATED = 0.01
+_SETTLE = 0.5  # s before a record, in which the servo settles under gravity
+_OFTEN_SATURATED = 0.01  # of the time, from which a warning is given
 
 
 @dataclass(frozen=True, eq=False)
 class Plant:
     """A MuJoCo arm with effects, a controller and sensors.
 
-    It is the robot file, with the friction and rotors that the file declares, plus the
-    effects. What it logs as torque is what the drives believe to deliver, at the
-    instant at which position and speed are logged.
+    It has the links, friction and rotors of the robot file, and the effects. The logged
+    torque is the commanded one, at the instant of the logged position and speed.
 
     Attributes:
-        robot: The arm as it really is.
-        effects: What the robot file does not know.
-        nominal: The arm that the controller believes in; ``robot`` by default.
-        noise: Sensors; usual ones by default.
-        servo: Controller; tuned to the arm by default, feeding the dynamics of
-            ``nominal`` forward.
+        robot: The true arm.
+        effects: Effects that the robot file does not have.
+        nominal: The arm that the controller knows; ``robot`` by default.
+        noise: Sensor noise; usual values by default.
+        servo: Controller; by default tuned to the arm, with feed-forward of the
+            dynamics of ``nominal``.
         step: Physics step, [s].
         control_rate: Samples of the controller per second, [Hz].
         log_rate: Samples of the recording per second, [Hz].
@@ -108,10 +105,10 @@ class Plant:
         *,
         seed: int | np.random.Generator = 0,
     ) -> list[Recording]:
-        """Follow references, all in lockstep, and log.
+        """Follow references, all at the same time, and log.
 
         Args:
-            references: Motions to follow, B of them, of any lengths.
+            references: B motions to follow, of any lengths.
             seed: Seed or generator of the noise; the motion itself is not random.
 
         Returns:
@@ -121,7 +118,7 @@ class Plant:
             HybridError: A reference has other joints, or the simulation diverges.
 
         Warns:
-            HybridWarning: A drive was at its torque limit for a noticeable time.
+            HybridWarning: A drive was at its torque limit too often.
         """
         n = self.robot.size
         if not references or any(r.q.shape[1] != n for r in references):
@@ -158,14 +155,14 @@ class Plant:
         log = {x: np.empty((samples, *q_ref.shape[1:])) for x in ("q", "v", "tau")}
         torque, saturated = feed[0], np.zeros(self.robot.size)
         for k in range(len(t)):
-            q, v = self._sensed(state.q, state.v)
+            q, v = encoder_readings(self.effects, state.q, state.v)
             wanted = feed[k] + kp * (q_ref[k] - q) + kd * (v_ref[k] - v)
             previous, torque = torque, np.clip(wanted, -servo.limit, servo.limit)
             saturated += (torque != wanted).sum(axis=0)
             sample, rest = divmod(k - before, every)
             if sample >= 0 and rest == 0:
-                log["q"][sample], log["v"][sample] = self._sensed(
-                    state.q, state.v + lead * state.a
+                log["q"][sample], log["v"][sample] = encoder_readings(
+                    self.effects, state.q, state.v + lead * state.a
                 )
                 log["tau"][sample] = weight * previous + (1 - weight) * torque
             state.step(torque, substeps)
@@ -173,7 +170,7 @@ class Plant:
         return t[before::every], log | {"command": command[before::every]}
 
     def _commanded(self, t: Array, signal: Array) -> Array:
-        """A commanded signal, shape (M, n), as the controller gets to see it."""
+        """A commanded signal as the controller receives it, shape (M, n)."""
         for effect in self.effects:
             if overrides(effect, "command"):
                 signal, j = signal.copy(), list(effect.joints)
@@ -188,22 +185,14 @@ class Plant:
             kp[j], kd[j] = effect.tune(kp[j], kd[j])
         return kp, kd
 
-    def _sensed(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """What the encoders show to controller and log, shape (B, n)."""
-        for effect in self.effects:
-            if overrides(effect, "sense"):
-                q, v, j = q.copy(), v.copy(), list(effect.joints)
-                q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
-        return q, v
-
     def _alignment(self, substeps: int) -> tuple[float, float]:
-        """How to bring the logged torque and speed to the instant of the position.
+        """Alignment of the logged torque and speed with the instant of the position.
 
         The semi-implicit step relates the torque of step k to the second difference of
-        position *around* sample k. A torque held over m steps is thus centred
-        (m − 1)/2 steps after its first, and mixing in (m − 1)/2m of the previous one
-        centres the sum on the sample. Speed lags by half a step. Runge-Kutta steps
-        use the torque in between samples and know the speed at them.
+        position *around* sample k. So a torque held over m steps is centred (m − 1)/2
+        steps after the first; a weight of (m − 1)/2m of the previous torque centres the
+        sum on the sample. Speed lags by half a step. Runge-Kutta steps use the torque
+        between samples and have the speed at them.
 
         Returns:
             Weight of the previous torque, and time to advance the speed by [s].
@@ -224,8 +213,8 @@ class Plant:
         t = clock[:samples]
         log = {name: signals[name][:samples, k] for name in ("q", "v", "tau")}
         for effect in self.effects:
-            # A drive that delivers other than it believes logs what it believes: its
-            # `report`, which a fit uses, has happened already.
+            # An effect that changes the delivered torque leaves the logged one as it
+            # is: its `report`, which a fit uses, must not be applied again.
             if overrides(effect, "measure") or not drives(effect):
                 log = effect.measure(t, log)
         log = self._noise.apply(log, rate=self.log_rate, rng=rng)

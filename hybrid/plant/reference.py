@@ -1,4 +1,4 @@
-"""Reference motions: what the controller is asked to follow."""
+"""Reference motions for the controller."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.robot.robot import Robot
 
-# What stands in for a limit that a robot file does not state.
-DEFAULT_POSITION = np.pi
-DEFAULT_SPEED = 2.0
-DEFAULT_ACCELERATION = 10.0
+# Limits of a robot file without them.
+DEFAULT_POSITION = np.pi  # rad
+DEFAULT_SPEED = 2.0  # rad/s
+DEFAULT_ACCELERATION = 10.0  # rad/s²
 _SAMPLES_A_PERIOD = 4  # of the highest harmonic, at least
 
 
@@ -86,24 +86,21 @@ def random_fourier(
     """A random Fourier-series motion within the limits of an arm.
 
     Every joint moves as a sum of ``order`` harmonics, so that slow motion, reversals
-    and fast motion occur in one record. The coefficients are drawn at random, then
-    projected on those that start at rest: since the series is periodic and the
-    duration a whole number of periods, the motion starts *and* ends with zero speed
-    and acceleration, and holds no frequency above the last harmonic. Each joint is
-    scaled until it fills the stated fraction of its tightest limit, and centred at
-    random in what is left of its range. See Swevers et al. 1997,
-    doi 10.1109/70.631234.
+    and fast motion occur in one record. Random coefficients are projected on those that
+    start at rest. The duration is a whole number of periods, so the motion starts *and*
+    ends with zero speed and acceleration, and has no frequency above the last harmonic.
+    Each joint is scaled to the stated share of its tightest limit, and centred at
+    random within its range. See Swevers et al. 1997, doi 10.1109/70.631234.
 
     Args:
-        robot: The arm; a limit it does not state is taken as ±π rad, 2 rad/s and
-            10 rad/s².
+        robot: The arm; missing limits are ±π rad, 2 rad/s and 10 rad/s².
         duration: Length of the motion, [s].
         rate: Samples per second, [Hz].
         seed: Seed or generator of the coefficients.
         order: Number of harmonics, at least 3.
         fundamental: Lowest frequency, [Hz]; rounded to a whole number of periods in
             the duration. By default 0.1 Hz, or one period if the motion is shorter.
-        fill: Fraction of the limits to use, above 0 up to 1.
+        fill: Share of the limits to use, above 0 up to 1.
 
     Raises:
         HybridError: An argument is out of range.
@@ -126,12 +123,12 @@ def random_fourier(
     a = (c * omega) @ sine - (s * omega) @ cosine
     q = (s / omega) @ cosine - (c / omega) @ sine
     q -= (q.max(axis=0) + q.min(axis=0)) / 2
-    low, high, fastest, strongest = limits(robot)
+    low, high, v_max, a_max = limits(robot)
     room = fill * (high - low) / 2
     ratios = (
         room / np.abs(q).max(axis=0),
-        fill * fastest / np.abs(v).max(axis=0),
-        fill * strongest / np.abs(a).max(axis=0),
+        fill * v_max / np.abs(v).max(axis=0),
+        fill * a_max / np.abs(a).max(axis=0),
     )
     scale = np.minimum.reduce(ratios)
     q, v, a = q * scale, v * scale, a * scale
@@ -141,19 +138,19 @@ def random_fourier(
 
 
 def limits(robot: Robot) -> tuple[Array, Array, Array, Array]:
-    """Position (low, high), speed and acceleration limits, defaults filled in.
+    """Limits of position (low, high), speed and acceleration, or their defaults.
 
     Returns:
         Four arrays of shape (n,), in [rad], [rad], [rad/s] and [rad/s²].
     """
     low = np.where(np.isfinite(robot.q_min), robot.q_min, -DEFAULT_POSITION)
     high = np.where(np.isfinite(robot.q_max), robot.q_max, DEFAULT_POSITION)
-    # One limit only: the default range lies beside it.
+    # With one limit only, the default range lies beside it.
     high = np.maximum(high, np.where(np.isfinite(robot.q_max), high, low + np.pi))
     low = np.minimum(low, np.where(np.isfinite(robot.q_min), low, high - np.pi))
-    fastest = np.where(np.isfinite(robot.v_max), robot.v_max, DEFAULT_SPEED)
-    strongest = np.where(np.isfinite(robot.a_max), robot.a_max, DEFAULT_ACCELERATION)
-    return low, high, fastest, strongest
+    v_max = np.where(np.isfinite(robot.v_max), robot.v_max, DEFAULT_SPEED)
+    a_max = np.where(np.isfinite(robot.a_max), robot.a_max, DEFAULT_ACCELERATION)
+    return low, high, v_max, a_max
 
 
 def _coefficients(

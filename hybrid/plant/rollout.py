@@ -1,4 +1,4 @@
-"""Replays: a simulator started in measured states and driven by measured torque."""
+"""Replays: a simulator starts in measured states and is driven by measured torque."""
 
 from __future__ import annotations
 
@@ -10,26 +10,24 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.plant.arm import Arm, Index, build_arm, overrides
+from hybrid.plant.arm import Arm, Index, build_arm, encoder_readings, overrides
 from hybrid.plant.lockstep import Lockstep
 from hybrid.robot.robot import Robot
 from hybrid.signals import Motion
 
-# A gain is undone by its opposite, which is right to first order; each pass squares
-# away what is left.
-_PASSES = 4
-_DIVERGED = 100.0  # rad/s; no arm turns so fast
+_INVERSE_PASSES = 4  # of Newton's method for the inverse of a report
+_DIVERGED = 100.0  # rad/s; a faster trajectory has diverged
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Stretches of motions to replay, B of them.
+    """B windows of motions to replay.
 
     Attributes:
-        motion: Index of the motion of each, shape (B,).
-        sample: Its first sample in that motion, shape (B,).
-        samples: Number of samples S that follow the first; the last one is held where
-            a motion ends before.
+        motion: Index of the motion of each window, shape (B,).
+        sample: First sample of each window in its motion, shape (B,).
+        samples: Number of samples S after the first; the last sample of a motion is
+            repeated if the motion is shorter.
     """
 
     motion: Index
@@ -37,11 +35,11 @@ class Windows:
     samples: int
 
     def of(self, signals: Sequence[Array], factor: int = 1) -> Array:
-        """The stretches of some signals, shape (factor·S + 1, B, ...).
+        """Signals in the windows, shape (factor·S + 1, B, ...).
 
         Args:
             signals: One for each motion, shape (factor·(N − 1) + 1, ...).
-            factor: How many times denser than the motions they are sampled.
+            factor: Sampling rate of the signals over that of the motions.
         """
         along = np.arange(factor * self.samples + 1)
         parts = [
@@ -51,7 +49,7 @@ class Windows:
         return np.stack(parts, axis=1)
 
     def first(self, signals: Sequence[Array]) -> Array:
-        """Their first samples, shape (B, ...)."""
+        """First sample of the signals in each window, shape (B, ...)."""
         pairs = zip(self.motion, self.sample, strict=True)
         return np.array([signals[m][k] for m, k in pairs])
 
@@ -64,21 +62,21 @@ def rollout(
     *,
     step: float = 0.001,
 ) -> Array:
-    """Let a simulator run freely from measured states under the measured torque.
+    """Simulate freely from measured states under the measured torque.
 
-    A motor takes its measured position and speed, a spring behind it the twist under
-    its load, a tooth the side it is pressed to, bristles what they have been bent by.
+    The motors start at their measured position and speed. Elastic deflection, backlash
+    and bristles start in the states that follow from the measured motion.
 
     Args:
         robot: The simulator.
         effects: Effects on it.
         motions: Measured motions with their torque.
-        windows: Where the replays start, and how long they last.
+        windows: Windows to replay.
         step: Longest physics step, [s]; samples are a whole number of steps apart.
 
     Returns:
         Position that the encoders would show at the samples of each window, shape
-        (S + 1, B, n), [rad]; NaN from where a replay has diverged.
+        (S + 1, B, n), [rad]; NaN after a replay has diverged.
 
     Raises:
         EffectError: An effect cannot be simulated.
@@ -90,17 +88,18 @@ def rollout(
     arm = build_arm(robot, inside, step=apart / factor, integrator="implicitfast")
     torque = windows.of([_delivered(m, effects, factor) for m in motions], factor)
     state = _start(robot, arm, inside, motions, windows)
-    shown = np.empty((windows.samples + 1, *state.q.shape))
-    shown[0] = windows.first([m.q for m in motions])
+    positions = np.empty((windows.samples + 1, *state.q.shape))
+    positions[0] = windows.first([m.q for m in motions])
     for k in range(windows.samples):
         for held in torque[k * factor : (k + 1) * factor]:
             state.step(held)
-        shown[k + 1] = _shown(inside, state)
-    return shown
+        positions[k + 1] = encoder_readings(inside, state.q, state.v)[0]
+        positions[k + 1, state.diverged] = np.nan
+    return positions
 
 
-class _Moving(Lockstep):
-    """Trajectories that start in motion, each at its own time, and may diverge.
+class _FreeTrajectories(Lockstep):
+    """Trajectories that start in motion, each at its own time, and that may diverge.
 
     Attributes:
         lost: Whether each trajectory has diverged, shape (B,).
@@ -112,30 +111,22 @@ class _Moving(Lockstep):
         effects: Sequence[Effect],
         start: Motion,
         load: Array,
-        behind: Array,
+        deflections: Array,
     ) -> None:
-        """Place every trajectory in its state.
-
-        Args:
-            arm: The arm.
-            effects: Effects on it.
-            start: True motor state of each trajectory, its samples being trajectories.
-            load: Torque that the links need there, shape (B, n).
-            behind: Position and speed of joints behind motors, shape (2, B, m).
-        """
-        self.lost = np.zeros(len(start.q), dtype=bool)
+        """Place every trajectory in its state."""
+        self.diverged = np.zeros(len(start.q), dtype=bool)
         super().__init__(arm, effects, start.q)
-        # The semi-implicit step knows speed half a step before position.
+        # The semi-implicit step has the speed half a step before the position.
         v = start.v - arm.model.opt.timestep / 2 * start.a
         for k, data in enumerate(self._datas):
             data.time = start.t[k]
             data.qvel[arm.motor] = v[k]
-            data.qpos[arm.deflection], data.qvel[arm.deflection] = behind[:, k]
+            data.qpos[arm.deflection], data.qvel[arm.deflection] = deflections[:, k]
         self.temperature = start.temperature
         self._read()
         self.a, self.load = start.a.copy(), load.copy()
 
-    def bend(self, torques: Sequence[Array]) -> None:
+    def set_past_torque(self, torques: Sequence[Array]) -> None:
         """Set the torque of effects with memory, shape (B, k) each, [N·m]."""
         self._resisted = [np.array(x) for x in torques]
 
@@ -143,24 +134,21 @@ class _Moving(Lockstep):
         motor = self._arm.motor
         self.q, self.v = self._gather("qpos")[:, motor], self._gather("qvel")[:, motor]
         # The comparison is written so that NaN fails it too.
-        self.lost |= ~(np.abs(self.v).max(axis=1) < _DIVERGED)
-        for k in np.flatnonzero(self.lost):
-            # It goes on from rest, and is not looked at any more.
+        self.diverged |= ~(np.abs(self.v).max(axis=1) < _DIVERGED)
+        for k in np.flatnonzero(self.diverged):
+            # It continues from rest, and its result is not used.
             self._datas[k].qpos[:] = self._datas[k].qvel[:] = 0.0
             self._datas[k].qacc_warmstart[:] = 0.0
             self.q[k] = self.v[k] = 0.0
 
 
-def _behind(
+def _deflections(
     arm: Arm,
     effects: Sequence[Effect],
     motions: Sequence[tuple[Motion, RigidBody]],
     windows: Windows,
 ) -> Array:
-    """Where the joints behind motors are, and how fast, as their effects' laws say.
-
-    A spring swings: where its load alone would hold it is not where it is.
-    """
+    """Position and speed of the deflections by the laws of their effects, (2, B, m)."""
     found = np.empty((2, len(windows.motion), len(arm.deflection)))
     joint = arm.model.dof_jntid[arm.deflection]
     limited, stop = arm.model.jnt_limited[joint], arm.model.jnt_range[joint, 1]
@@ -182,45 +170,37 @@ def _start(
     effects: Sequence[Effect],
     motions: Sequence[Motion],
     windows: Windows,
-) -> _Moving:
-    seen = [_true(robot, effects, motion) for motion in motions]
+) -> _FreeTrajectories:
+    seen = [_motor_motion(robot, effects, motion) for motion in motions]
     bodies = [RigidBody(robot.chain, motion) for motion in seen]
 
     def first(name: str) -> Array:
         return windows.first([getattr(m, name) for m in seen])
 
-    warm = first("temperature") if seen[0].temperature is not None else None
+    temperature = first("temperature") if seen[0].temperature is not None else None
     t, q, v, a, tau = map(first, ("t", "q", "v", "a", "tau"))
-    start = Motion(t, q, v, a, tau, np.ones(len(t), dtype=bool), warm)
+    start = Motion(t, q, v, a, tau, np.ones(len(t), dtype=bool), temperature)
     pairs = list(zip(seen, bodies, strict=True))
-    behind = _behind(arm, effects, pairs, windows)
+    deflections = _deflections(arm, effects, pairs, windows)
     load = windows.first([body.load for body in bodies])
-    state = _Moving(arm, effects, start, load, behind)
-    past = [e for e in effects if overrides(e, "resist")]
-    state.bend([windows.first([e.torque(m, b) for m, b in pairs]) for e in past])
+    state = _FreeTrajectories(arm, effects, start, load, deflections)
+    with_memory = [e for e in effects if overrides(e, "resist")]
+    state.set_past_torque(
+        [windows.first([e.torque(m, b) for m, b in pairs]) for e in with_memory]
+    )
     return state
 
 
-def _true(robot: Robot, effects: Sequence[Effect], motion: Motion) -> Motion:
-    """The motors' motion behind what encoders show."""
+def _motor_motion(robot: Robot, effects: Sequence[Effect], motion: Motion) -> Motion:
+    """The true motion of the motors from the measured one."""
     for effect in effects:
         if overrides(effect, "sense"):
             motion = effect.observe(motion, RigidBody(robot.chain, motion))
     return motion
 
 
-def _shown(effects: Sequence[Effect], state: _Moving) -> Array:
-    q, v = state.q.copy(), state.v.copy()
-    for effect in effects:
-        if overrides(effect, "sense"):
-            j = list(effect.joints)
-            q[:, j], v[:, j] = effect.sense(q[:, j], v[:, j])
-    q[state.lost] = np.nan
-    return np.asarray(q)
-
-
 def _delivered(motion: Motion, effects: Sequence[Effect], factor: int) -> Array:
-    """Torque that drives delivered, from the logged one; (factor·(N − 1) + 1, n)."""
+    """Delivered torque from the logged one, shape (factor·(N − 1) + 1, n), [N·m]."""
     from scipy.interpolate import CubicSpline
 
     samples = factor * (len(motion.t) - 1) + 1
@@ -236,9 +216,12 @@ def _delivered(motion: Motion, effects: Sequence[Effect], factor: int) -> Array:
 
 
 def _before_report(effect: Effect, t: Array, logged: Array) -> Array:
-    """Torque that an effect reports as the logged one; shape (N, k), [N·m]."""
+    """Delivered torque that an effect reports as the logged one, (N, k), [N·m].
+
+    The opposite gain inverts the report to first order; each pass squares the error.
+    """
     opposite = effect.at({g.name: -effect.values[g.name] for g in effect.gains})
     torque = opposite.report(t, logged)
-    for _ in range(_PASSES):
+    for _ in range(_INVERSE_PASSES):
         torque = torque + opposite.report(t, logged - effect.report(t, torque))
     return torque

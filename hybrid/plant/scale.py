@@ -1,4 +1,4 @@
-"""Size of an arm's joints: the unit in which usual sizes of effects are stated."""
+"""Rated torque and speed of joints: the units of the usual sizes of effects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hybrid.robot.robot import Robot
 def joint_scales(robot: Robot) -> tuple[Scale, ...]:
     """Rated torque and speed of every joint, n of them.
 
-    What the robot file does not state is taken from gravity, and from usual speeds.
+    Without them in the robot file: from gravity, and a usual speed.
     """
     speed = limits(robot)[2]
     return tuple(

@@ -14,14 +14,12 @@ from hybrid.plant.noise import rated_torque
 from hybrid.plant.reference import Reference
 from hybrid.robot.robot import Robot
 
-# Damping times period over inertia, of any motion of all joints: a sampled servo is
-# unstable at 2.
+# Largest damping times period over inertia; a sampled servo is unstable at 2.
 _LARGEST_STEP = 1.0
-# The servo is at least so stiff that usual friction, this part of the rated torque,
-# moves a joint by no more than this angle; gains from inertia alone leave the wrists
-# of files without rotors stuck.
-_FRICTION, _DROOP = 0.05, 0.02  # 1, rad
-_POSTURES, _COUPLED = 20, 200
+# The servo is so stiff that usual friction, a share of the rated torque, causes at most
+# this angle. Gains from inertia alone would be too low for wrists without rotors.
+_FRICTION, _FRICTION_ANGLE = 0.05, 0.02  # 1, rad
+_POSTURES, _COUPLED_POSTURES = 20, 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,29 +60,29 @@ class Servo:
     ) -> Servo:
         """Gains for a natural frequency at each joint's largest inertia, or higher.
 
-        They are raised where usual friction would stop the joint, and stay low enough
-        for the rotor alone: behind an elastic joint the motor moves without its link.
+        They are higher where usual friction would stop the joint, and low enough for
+        the rotor alone, since the motor of an elastic joint moves without its link.
 
         Args:
             arm: The arm to control.
-            robot: The arm that the controller believes in.
+            robot: The arm that the controller knows.
             period: Time between control samples, [s].
             lag: Time constant of the drives, shape (n,), [s].
             frequency: Natural frequency, [Hz].
             damping: Damping ratio.
         """
-        # Behind a lag T any inertia swings up unless kd > T·kp; half of that is used.
-        quickest = damping / np.maximum(lag, 1e-9)
-        asked = np.minimum(2 * np.pi * frequency, quickest)
-        whole, alone = _inertia(arm)
-        stable = _LARGEST_STEP * alone / (2 * damping * period)  # omega · inertia
-        inertia = np.minimum(whole, stable / asked)
-        stiff = _FRICTION / _DROOP * rated_torque(robot)
-        omega = np.maximum(asked, np.sqrt(stiff / inertia))
-        omega = np.minimum(np.minimum(omega, stable / inertia), quickest)
-        # A servo that must be slow for the lag is stiff enough all the same.
+        # With a lag T the loop is unstable unless kd > T·kp; half of that is used.
+        fastest = damping / np.maximum(lag, 1e-9)
+        wanted = np.minimum(2 * np.pi * frequency, fastest)
+        coupled, decoupled = _motor_inertia(arm)
+        stable = _LARGEST_STEP * decoupled / (2 * damping * period)  # omega · inertia
+        inertia = np.minimum(coupled, stable / wanted)
+        stiff = _FRICTION / _FRICTION_ANGLE * rated_torque(robot)
+        omega = np.maximum(wanted, np.sqrt(stiff / inertia))
+        omega = np.minimum(np.minimum(omega, stable / inertia), fastest)
+        # A servo that is slow because of the lag must be stiff enough as well.
         inertia = np.minimum(np.maximum(inertia, stiff / omega**2), stable / omega)
-        decay = _quickest(arm, 2 * damping * omega * inertia)
+        decay = _fastest_decay(arm, 2 * damping * omega * inertia)
         inertia *= min(1.0, _LARGEST_STEP / (decay * period))
         return cls(
             kp=omega**2 * inertia,
@@ -113,10 +111,10 @@ class Servo:
         return q, v, np.stack(columns, axis=1)
 
 
-def _inertia(arm: Arm) -> tuple[Array, Array]:
-    """Each motor's largest inertia with all other joints held, and smallest with none.
+def _motor_inertia(arm: Arm) -> tuple[Array, Array]:
+    """Largest inertia of each motor with other joints held, smallest with them free.
 
-    Both over a few postures, shape (n,), [kg·m²].
+    Both are over random postures, shape (n,), [kg·m²].
     """
     masses = _masses(arm, _POSTURES)
     held = [M.diagonal()[arm.motor] for M in masses]
@@ -124,10 +122,10 @@ def _inertia(arm: Arm) -> tuple[Array, Array]:
     return np.max(held, axis=0), np.min(free, axis=0)
 
 
-def _quickest(arm: Arm, kd: Array) -> float:
+def _fastest_decay(arm: Arm, kd: Array) -> float:
     """Fastest decay that the damping gives to any motion of all joints, [1/s]."""
     motors, root = np.ix_(arm.motor, arm.motor), np.sqrt(kd)
-    masses = _masses(arm, _COUPLED)
+    masses = _masses(arm, _COUPLED_POSTURES)
     mobility = np.array([np.linalg.inv(M)[motors] for M in masses])
     return float(np.linalg.eigvalsh(root[:, None] * mobility * root).max())
 

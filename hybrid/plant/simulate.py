@@ -1,4 +1,4 @@
-"""The public verb: motions of a simulated arm, as recordings."""
+"""The verb ``simulate``: recordings of random motions of a simulated arm."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def simulate(
     fill: float = 0.7,
     log_rate: float | None = None,
 ) -> list[Recording]:
-    """Simulate random motions of an arm with effects that its file does not know.
+    """Simulate random motions of an arm with effects that its file does not have.
 
     Args:
-        robot: The arm; or a plant, which has its effects, noise and rates already.
+        robot: The arm; or a plant, which has its own effects, noise and rates.
         effects: Effects to add.
         trajectories: Number of motions.
         duration: Length of each, [s].
         seed: Seed of motions and noise; the same seed gives the same arrays.
-        noise: Sensors; usual ones by default (see :meth:`Noise.typical`).
-        fill: Fraction of the arm's position, speed and acceleration limits to use.
+        noise: Sensor noise; by default that of :meth:`Noise.typical`.
+        fill: Share of the arm's position, speed and acceleration limits to use.
         log_rate: Samples per second of the recordings, [Hz]; 500 by default.
 
     Returns:
-        One recording a trajectory.
+        One recording for each trajectory.
 
     Raises:
         HybridError: An argument is out of range, or an effect cannot be simulated.

@@ -1,4 +1,4 @@
-"""Read a simulated truth, the plant that a YAML file describes."""
+"""Reader of the YAML file that describes a simulated plant."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def load_truth(path: str | Path) -> tuple[Robot, Plant]:
         The nominal robot, and the plant. Its controller knows the nominal robot only.
 
     Raises:
-        HybridError: The file cannot be read, or says something that is not valid.
+        HybridError: The file cannot be read, or is not valid.
     """
     path = Path(path)
     content = _mapping(_read(path), _KEYS, str(path))

@@ -1,1 +1,1 @@
-"""Linear regression of all joints together: columns, sums over samples, solutions."""
+"""Linear regression over all joints: columns, cross-products, estimators, intervals."""

@@ -1,14 +1,14 @@
-"""Cross-products of all columns and torques: all that least squares needs of the data.
+"""Cross-products of columns and torques: the sufficient statistics of least squares.
 
-They are accumulated once, block by block; estimators, intervals and held-out errors
-then never touch a sample again, and memory does not grow with the length of the logs.
+They are accumulated once, for each block in time. Estimators, intervals and held-out
+errors need no samples after that, so memory does not grow with the length of the logs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,29 +16,29 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem, part
-from hybrid.regression.scores import Scores, Scoring, runs_of
+from hybrid.regression.scores import Scores, runs_of
 from hybrid.signals import Motion, Sampler
 
-_CHUNK = 16384  # samples worked on at a time, at full rate
+_CHUNK = 16384  # samples processed at a time, at full rate
 _MOST_BLOCKS = 96
-_BLOCK_SECONDS = 0.25
+_BLOCK_SECONDS = 0.25  # shortest block
 _GRADIENT_MARGIN = 16  # samples that numerical derivatives need on both sides
 
-# Index of the first decimated sample, decimated rows (P, M), and those at full rate.
+# Index of the first decimated sample, decimated rows (P, M), and rows at full rate.
 Chunks = Iterator[tuple[int, Array, Array]]
 
 
 @dataclass(frozen=True)
 class CrossProducts:
-    """Sums over the samples of each block.
+    """Sums over the samples of each block in time.
 
     Attributes:
         problem: Unknowns and layout of the rows.
-        blocks: Rows times rows transposed, per block in time, shape (B, P, P).
+        blocks: Rows times rows transposed, summed over each block, shape (B, P, P).
         counts: Samples of each block in which both joints moved, shape (B, n, n).
-        recording: Which recording each block is from, shape (B,).
-        fold: Part of the data each block belongs to, for cross-validation, shape (B,).
-        scores: The same sums of each joint alone, unfiltered, to score on.
+        recording: Index of the recording of each block, shape (B,).
+        fold: Cross-validation fold of each block, shape (B,).
+        scores: Sums of unfiltered rows, for held-out errors.
     """
 
     problem: Problem
@@ -67,13 +67,23 @@ class CrossProducts:
         parts = [self.fold == k for k in range(int(self.fold.max()) + 1)]
         return np.array([np.tensordot(share[x], self.blocks[x], axes=1) for x in parts])
 
+    def weighted_total(self, share: Array) -> Array:
+        """Sum over all blocks, each with a weight, shape (P, P).
+
+        Args:
+            share: Weight of each block, shape (B,).
+        """
+        if share.min() == 1.0:
+            return self.total
+        return np.asarray(np.tensordot(share, self.blocks, axes=1))
+
     @property
     def samples(self) -> int:
-        """Samples of the joint that moved most."""
+        """Number of samples of the joint that moved most."""
         return int(np.diag(self.counts.sum(axis=0)).max())
 
     def normal(self, weight: Array, sums: Array | None = None) -> tuple[Array, Array]:
-        """Normal equations A theta = b for a weight across joints.
+        """Normal equations A·theta = b for a weight matrix across joints.
 
         Args:
             weight: Inverse noise covariance, shape (n, n).
@@ -97,8 +107,8 @@ class CrossProducts:
                 b[..., left] += weight[i, k] * sums[..., rows, start + len(right)]
         return A, b
 
-    def leaves(self, theta: Array) -> Array:
-        """Map from rows to what a solution leaves of each joint's torque, (P, n).
+    def residual_map(self, theta: Array) -> Array:
+        """Matrix that maps rows to residuals: residual = mapᵀ · rows, shape (P, n).
 
         Args:
             theta: Unknowns, shape (p,).
@@ -112,14 +122,23 @@ class CrossProducts:
         return C
 
     def residual_products(self, theta: Array, sums: Array | None = None) -> Array:
-        """Sum of residuals times residuals across joints, shape (..., n, n), [N²·m²].
+        """Sum of products of residuals across joints, shape (..., n, n), [N²·m²].
 
         Args:
             theta: Unknowns, shape (p,).
             sums: Cross-products to use, shape (..., P, P); all blocks by default.
         """
-        C = self.leaves(theta)
+        C = self.residual_map(theta)
         return np.asarray(C.T @ (self.total if sums is None else sums) @ C)
+
+    def held_out_squares(self, theta: Array) -> Array:
+        """Squared residuals of each block by the solution without its fold, (B, n).
+
+        Args:
+            theta: Solutions without each fold, shape (F, p).
+        """
+        assert self.scores is not None
+        return self.scores.squares(theta)
 
 
 def accumulate(
@@ -132,55 +151,56 @@ def accumulate(
     blocks: Sequence[NDArray[np.intp]] | None = None,
     chunks: Callable[[Problem, Motion], Chunks] | None = None,
 ) -> CrossProducts:
-    """Cross-products over motions, columns and torque filtered alike.
+    """Cross-products of motions, with columns and torque filtered identically.
 
-    A joint that stands still may be held by any friction below break-away, so its
-    torque says nothing: its rows are left out while it stands.
+    The rows of a joint are left out while it stands still: any friction below the
+    break-away torque may hold it then, so its torque tells nothing.
 
     Args:
-        problem: Unknowns and layout.
+        problem: Unknowns and layout of the rows.
         motions: Motions at full rate.
         cutoff: Cut-off of the filter of columns and torque, [Hz]; inf for none.
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
         folds: Fold of every sample, shape (N,) for each motion.
-        blocks: Block of every sample to score on, shape (N,) for each motion; each lies
-            in one fold.
-        chunks: Where the rows of a motion come from; see :func:`sampled_chunks`.
+        blocks: Scoring block of every sample, shape (N,) for each motion; each block
+            lies in one fold.
+        chunks: Source of the rows of a motion; see :func:`sampled_chunks`.
 
     Returns:
-        Cross-products in some 100 blocks at most.
+        Cross-products in about 100 blocks at most.
+
+    Raises:
+        IdentificationError: Every sample is masked, or no joint moves.
     """
     seconds = sum(m.t[-1] - m.t[0] for m in motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
-    scoring = (
-        None if blocks is None or folds is None else Scoring(problem, blocks, folds)
-    )
+    scores = None if blocks is None or folds is None else Scores(problem, blocks, folds)
     found: list[tuple[int, int, Array, Array]] = []
     for r, motion in enumerate(motions):
         fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
         sampler = Sampler.for_rate(motion.rate, cutoff)
-        own = (
+        rows = (
             chunks(problem, motion)
             if chunks
-            else sampled_chunks(partial(rows_of, problem, motion), fold.size, sampler)
+            else _uncached_chunks(problem, motion, sampler)
         )
         length = max(1, round(block_seconds * motion.rate / sampler.factor))
         sums = _one_motion(
-            problem, motion, fold, standing, sampler, length, own, scoring, r
+            problem, motion, fold, standing, sampler, length, rows, scores, r
         )
         found += [(r, key[1], *x) for key, x in sorted(sums.items())]
     if not found:
         raise IdentificationError(
             "no usable sample: every one is masked, or no joint moves"
         )
-    of, fold_of, both, counts = zip(*found, strict=True)
+    recording, block_fold, products, counts = zip(*found, strict=True)
     return CrossProducts(
         problem,
-        np.array(both),
+        np.array(products),
         np.array(counts),
-        np.array(of),
-        np.array(fold_of),
-        None if scoring is None else scoring.scores,
+        np.array(recording),
+        np.array(block_fold),
+        scores,
     )
 
 
@@ -192,36 +212,37 @@ def _one_motion(
     sampler: Sampler,
     length: int,
     chunks: Chunks,
-    scoring: Scoring | None,
+    scores: Scores | None,
     number: int,
 ) -> dict[tuple[int, int], tuple[Array, Array]]:
-    """Sums and counts by block in time, of some decimated samples, and fold."""
+    """Sums and counts of one motion, by block in time and fold."""
     sizes = np.diff(problem.offsets)
     found: dict[tuple[int, int], tuple[Array, Array]] = {}
     moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T.astype(float)
     for first, D, raw in chunks:
-        if scoring is not None:
+        if scores is not None:
             here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
-            scoring.add(number, here, raw, moves[:, here])
+            scores.add(number, here, raw, moves[:, here])
         samples = slice(first, first + D.shape[1])
         moving = moves[:, :: sampler.factor][:, samples]
         if not moving.all():
             D *= np.repeat(moving, sizes, axis=0)
         block = (first + np.arange(D.shape[1])) // length
-        own = fold[:: sampler.factor][samples]
-        for start, stop in runs_of(block, own):
-            part, both = D[:, start:stop], moving[:, start:stop]
-            if not both.any():
+        fold_here = fold[:: sampler.factor][samples]
+        for start, stop in runs_of(block, fold_here):
+            rows, moves_here = D[:, start:stop], moving[:, start:stop]
+            if not moves_here.any():
                 continue
-            key = int(block[start]), int(own[start])
-            before = found.get(key, (0.0, 0.0))
-            found[key] = (before[0] + part @ part.T, before[1] + both @ both.T)
+            key = int(block[start]), int(fold_here[start])
+            sums, counts = found.get(key, (0.0, 0.0))
+            found[key] = sums + rows @ rows.T, counts + moves_here @ moves_here.T
     return found
 
 
-def rows_of(problem: Problem, motion: Motion, here: slice) -> Array:
-    """:meth:`Problem.rows` of some consecutive samples of a motion."""
-    return problem.rows(part(motion, here))
+def _uncached_chunks(problem: Problem, motion: Motion, sampler: Sampler) -> Chunks:
+    return sampled_chunks(
+        lambda samples: problem.rows(part(motion, samples)), len(motion.t), sampler
+    )
 
 
 def sampled_chunks(
@@ -230,20 +251,20 @@ def sampled_chunks(
     sampler: Sampler,
     filtered: Callable[[slice, Array], Array] | None = None,
 ) -> Chunks:
-    """Rows evaluated at full rate, filtered and decimated, a chunk at a time.
+    """Evaluate rows at full rate, filter and decimate them, one chunk at a time.
 
-    Chunks overlap by as much as the filter reaches, so the result is that of one piece.
+    Chunks overlap by the length of the filter, so the result does not depend on them.
 
     Args:
-        rows: From consecutive samples, as a slice, to rows of shape (P, N).
+        rows: Function from a slice of samples to rows of shape (P, N).
         total: Number of samples.
         sampler: Filter and decimation.
-        filtered: From the same samples and their rows to rows that were passed through
-            the sampler, if some are known already.
+        filtered: Function from a slice and its rows to filtered and decimated rows; by
+            default the sampler.
 
     Yields:
         Index of the first decimated sample, the decimated rows, shape (P, M), and the
-        rows at full rate that they come from, shape (P, samples).
+        rows at full rate, shape (P, samples).
     """
     factor = sampler.factor
     margin = -(-max(sampler.margin, _GRADIENT_MARGIN) // factor) * factor

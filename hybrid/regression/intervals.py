@@ -1,7 +1,6 @@
-"""How sure a solution is: intervals, condition, and what the data leave open.
+"""Uncertainty of a solution: covariance, intervals, condition, undetermined unknowns.
 
-Source: Cameron and Miller 2015, doi 10.3368/jhr.50.2.317 (blocks that are correlated
-within).
+Source: Cameron and Miller 2015, doi 10.3368/jhr.50.2.317 (cluster-robust inference).
 """
 
 from __future__ import annotations
@@ -18,44 +17,35 @@ from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     RANK,
     Estimator,
-    Settled,
+    WeightedSolution,
     pseudo_inverse,
     pseudo_solve,
     residual_covariance,
-    settle,
+    solve_weighted,
     unit_columns,
 )
 from hybrid.regression.prior import Prior
 
-_MOST_ALIKE = 0.9  # correlation of successive blocks that a log of 100 can show
+_MOST_CORRELATION = 0.9  # of successive blocks: the most that 100 blocks can show
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A solution of the linear problem and how sure it is.
+class Estimate(WeightedSolution):
+    """A solution of the linear problem with its uncertainty.
 
     Attributes:
-        theta: Unknowns, shape (p,).
-        covariance: Their covariance, honest under correlated residuals, shape (p, p).
+        covariance: Covariance of the unknowns, valid under autocorrelated residuals,
+            shape (p, p).
         sigma: Residual covariance across joints, shape (n, n), [N²·m²].
-        weight: Weight across joints of the last step, shape (n, n).
-        share: Weight of each block in the last step, from 0 to 1, shape (B,).
         condition: Condition number of the whitened, column-scaled columns.
-        iterations: Reweightings done.
-        converged: False if the iteration limit came first.
-        degrees: Degrees of freedom of the covariance (blocks less one).
-        undetermined: Unknowns that these data do not determine.
-        held: Unknowns of which the prior says more than these data.
+        degrees: Degrees of freedom of the covariance: number of blocks less one.
+        undetermined: Indices of unknowns that these data do not determine.
+        held: Indices of unknowns that the prior determines more than these data.
     """
 
-    theta: Array
     covariance: Array
     sigma: Array
-    weight: Array
-    share: Array
     condition: float
-    iterations: int
-    converged: bool
     degrees: int
     undetermined: tuple[int, ...]
     held: tuple[int, ...] = ()
@@ -66,7 +56,7 @@ class Estimate:
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
-        """Lower and upper ends of the confidence intervals, shapes (p,)."""
+        """Lower and upper confidence limits, shape (p,) each."""
         half = stdtrit(self.degrees, 0.5 + level / 2) * self.std
         return self.theta - half, self.theta + half
 
@@ -79,54 +69,53 @@ def solve(
     robust: bool = False,
     prior: Prior | None = None,
 ) -> Estimate:
-    """Least squares over the joints of an arm.
+    """Least squares over all joints of an arm.
 
-    ``ls`` weighs all joints alike, ``wls`` by the variance of each, ``irls`` by the
-    full covariance of the residual across joints, iterated until it agrees with itself.
+    ``ls`` gives all joints the same weight. ``wls`` weights each joint by its residual
+    variance. ``irls`` weights by the full residual covariance across joints, iterated
+    to convergence.
 
     Args:
-        products: Accumulated data.
-        estimator: Which of the three.
-        bounded: Keep gains that are physically non-negative at or above zero.
-        robust: Weigh down blocks whose misfit is far above the median's (contacts,
-            log glitches).
-        prior: What is known of the unknowns beforehand.
+        products: Cross-products of the data.
+        estimator: One of the three.
+        bounded: Keep physically non-negative gains at or above zero.
+        robust: Give less weight to blocks whose misfit is far above the median
+            (contacts, glitches of the log).
+        prior: Prior of the unknowns.
 
     Raises:
         IdentificationError: There are fewer samples than unknowns.
     """
-    found = settle(products, estimator, bounded=bounded, robust=robust, prior=prior)
-    return estimated(products, found, prior=prior)
+    found = solve_weighted(
+        products, estimator, bounded=bounded, robust=robust, prior=prior
+    )
+    return with_uncertainty(products, found, prior=prior)
 
 
-def estimated(
+def with_uncertainty(
     products: CrossProducts,
-    found: Settled,
+    found: WeightedSolution,
     *,
     prior: Prior | None = None,
-    among: CrossProducts | None = None,
+    complete: CrossProducts | None = None,
 ) -> Estimate:
-    """How sure a solution is; arguments are those of :func:`settle`.
+    """Add covariance and condition to a solution.
 
     Args:
-        products: Accumulated data.
+        products: Cross-products of the data.
         found: The solution.
-        prior: What was known of the unknowns beforehand.
-        among: The same data with more unknowns behind these, taken to be zero: what was
-            chosen on the data is as uncertain as if it had not been.
+        prior: Prior of the unknowns that the solution used.
+        complete: Cross-products with more unknowns after these, which the data have
+            set to zero. The covariance then includes the uncertainty of that choice.
     """
     A, _ = products.normal(found.weight)
     condition, undetermined = _excitation(A)
-    covariance, degrees = _covariance(among or products, found, prior)
+    covariance, degrees = _covariance(complete or products, found, prior)
     return Estimate(
-        theta=found.theta,
+        **vars(found),
         covariance=covariance,
         sigma=residual_covariance(products, found.theta),
-        weight=found.weight,
-        share=found.share,
         condition=condition,
-        iterations=found.iterations,
-        converged=found.converged,
         degrees=degrees,
         undetermined=undetermined,
         held=_held(A, prior),
@@ -134,15 +123,15 @@ def estimated(
 
 
 def _held(A: Array, prior: Prior | None) -> tuple[int, ...]:
-    """Unknowns that follow a change in the data by less than half of it."""
+    """Unknowns on which the data have less than half of the influence."""
     if prior is None:
         return ()
-    follows = np.diag(pseudo_inverse(A + prior.precision) @ A)
-    return tuple(int(k) for k in np.flatnonzero(follows < 0.5))
+    influence = np.diag(pseudo_inverse(A + prior.precision) @ A)
+    return tuple(int(k) for k in np.flatnonzero(influence < 0.5))
 
 
 def _excitation(A: Array) -> tuple[float, tuple[int, ...]]:
-    """Condition number of the scaled columns, and unknowns they leave open."""
+    """Condition number of the scaled columns, and the undetermined unknowns."""
     values = np.clip(np.linalg.eigvalsh(unit_columns(A)[0]), 0.0, None)
     condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
     share = (weak_directions(A, np.sqrt(RANK)) ** 2).sum(axis=1)
@@ -150,82 +139,83 @@ def _excitation(A: Array) -> tuple[float, tuple[int, ...]]:
 
 
 def weak_directions(A: Array, weakest: float) -> Array:
-    """Directions of the unknowns in which the scaled columns hardly move.
+    """Directions of the unknowns that belong to small singular values.
 
     Args:
         A: Normal matrix, shape (p, p).
-        weakest: Largest singular value that counts as weak, as a share of the
+        weakest: Largest singular value that counts as small, as a share of the
             largest of all.
 
     Returns:
-        Orthonormal directions in the unknowns scaled to columns of unit length, shape
-        (p, any number).
+        Orthonormal directions, in columns; the unknowns are scaled so that the
+        regression columns have unit length; shape (p, any number).
     """
     values, vectors = eigh(unit_columns(A)[0])
     return np.asarray(vectors[:, values <= weakest**2 * values[-1]])
 
 
 def _covariance(
-    products: CrossProducts, found: Settled, prior: Prior | None
+    products: CrossProducts, found: WeightedSolution, prior: Prior | None
 ) -> tuple[Array, int]:
-    """Delete-a-block jackknife, as much wider as successive blocks change alike.
+    """Covariance by the delete-a-block jackknife, and its degrees of freedom.
 
-    A prior holds unknowns where the data would not: by how much they may be off is
-    added, the prior being worth as many samples as the noise lets count for one.
+    It is inflated for the correlation of successive blocks. A prior adds the
+    uncertainty of its own mean, scaled by how many samples of this noise count as one.
+    Bounds are ignored.
 
-    Source: Efron and Stein 1981, doi 10.1214/aos/1176345462. An unknown at its bound is
-    as uncertain as if there were none.
+    Source: Efron and Stein 1981, doi 10.1214/aos/1176345462.
     """
     weight, size = found.weight, len(found.theta)
-    more = 0, products.problem.size - size
-    theta = np.pad(found.theta, more)
+    added = 0, products.problem.size - size
+    theta = np.pad(found.theta, added)
     A, b = products.normal(weight)
-    held, rest = A, b - A @ theta
+    hessian, gradient = A, b - A @ theta
     if prior is not None:
-        precision = np.pad(prior.precision, more)
-        held = held + precision
-        rest = rest + np.pad(prior.pull, more) - precision @ theta
-    scores = _scores(products, theta, weight)
-    count = len(scores)
+        precision = np.pad(prior.precision, added)
+        hessian = hessian + precision
+        gradient = gradient + np.pad(prior.pull, added) - precision @ theta
+    gradients = _block_gradients(products, theta, weight)
+    count = len(gradients)
     changes = np.empty((count, len(theta)))
-    for k, own in enumerate(products.normal(weight, products.blocks)[0]):
-        changes[k] = pseudo_solve(held - own, rest - scores[k])
-    spread = changes - changes.mean(axis=0)
-    spread *= np.sqrt(_memory(spread, products.recording))
-    covariance = np.asarray((count - 1) / count * spread.T @ spread)
+    for k, block in enumerate(products.normal(weight, products.blocks)[0]):
+        changes[k] = pseudo_solve(hessian - block, gradient - gradients[k])
+    changes -= changes.mean(axis=0)
+    changes *= np.sqrt(_variance_inflation(changes, products.recording))
+    covariance = np.asarray((count - 1) / count * changes.T @ changes)
     if prior is not None:
-        inverse = pseudo_inverse(held)
-        noise = np.diag(inverse @ A @ inverse)
-        counts = np.diag(covariance) / np.maximum(noise, 1e-300)
-        held_by = inverse @ precision @ inverse
-        covariance += max(1.0, float(np.median(counts))) * held_by
+        inverse = pseudo_inverse(hessian)
+        white = np.diag(inverse @ A @ inverse)  # variance under independent noise
+        counts = np.diag(covariance) / np.maximum(white, 1e-300)
+        of_prior = inverse @ precision @ inverse
+        covariance += max(1.0, float(np.median(counts))) * of_prior
     return covariance[:size, :size], count - 1
 
 
-def _scores(products: CrossProducts, theta: Array, weight: Array) -> Array:
-    """Gradient of the squares of each block by the unknowns, shape (B, p)."""
-    problem, C = products.problem, products.leaves(theta)
-    left = products.blocks @ (C @ weight)  # (B, P, n): rows times weighted residuals
-    found = np.zeros((len(left), problem.size))
+def _block_gradients(products: CrossProducts, theta: Array, weight: Array) -> Array:
+    """Descent direction Yᵀ·weight·residual of each block, shape (B, p)."""
+    problem, C = products.problem, products.residual_map(theta)
+    moments = products.blocks @ (C @ weight)  # (B, P, n)
+    found = np.zeros((len(moments), problem.size))
     for i, support in enumerate(problem.support):
         start = problem.offsets[i]
-        found[:, support] += left[:, start : start + len(support), i]
+        found[:, support] += moments[:, start : start + len(support), i]
     return found
 
 
-def _memory(series: Array, recording: NDArray[np.intp]) -> Array:
-    """Variance of a sum over that of a sum of independent terms, shape (p,).
+def _variance_inflation(series: Array, recording: NDArray[np.intp]) -> Array:
+    """Variance of the sum of a series over that of independent terms, shape (p,).
 
     Source: a first-order autoregression, Andrews and Monahan 1992, doi 10.2307/2951574;
     its bias by Kendall 1954, doi 10.1093/biomet/41.3-4.403.
 
     Args:
-        series: What successive blocks change, less its mean, shape (B, p).
-        recording: Which recording each block is from, shape (B,).
+        series: Terms of successive blocks, of zero mean, shape (B, p).
+        recording: Index of the recording of each block, shape (B,).
     """
     follows = recording[1:] == recording[:-1]
     power = np.maximum((series**2).sum(axis=0), 1e-300)
     lagged = (series[1:][follows] * series[:-1][follows]).sum(axis=0) / power
     count = max(int(follows.sum()), 5)
-    alike = np.clip((count * lagged + 1) / (count - 4), -_MOST_ALIKE, _MOST_ALIKE)
-    return np.asarray((1 + alike) / (1 - alike))
+    correlation = (count * lagged + 1) / (count - 4)
+    correlation = np.clip(correlation, -_MOST_CORRELATION, _MOST_CORRELATION)
+    return np.asarray((1 + correlation) / (1 - correlation))

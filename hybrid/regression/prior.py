@@ -1,11 +1,10 @@
-"""What the robot file says of links and drives, as a prior of the unknowns.
+"""The prior of the unknowns, from the robot file.
 
-The file's numbers are a guess, and a link may be as far off as it is large: the
-standard deviation of a mass is the mass, that of a first moment the mass times the size
-of the link, that of an inertia the mass times its square. A gain may be as far from
-what the file declares as it can be at all. Motion that excites an arm poorly leaves
-directions open in which plain least squares puts any value; there the guess of the file
-stays.
+The numbers of the file are uncertain: the standard deviation of a mass is the mass,
+that of a first moment is the mass times the size of the link, that of an inertia is the
+mass times the size squared; that of a gain is its spread, or its largest bound. If the
+motion excites the arm poorly, some unknowns are undetermined; they then stay near the
+values of the file.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects import Effect, Scale
+from hybrid.effects import Scale
 from hybrid.model.declared import declared_effects
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
@@ -24,8 +23,8 @@ from hybrid.robot.chain import Chain
 
 _LEAST_MASS = 0.3  # of the mean mass of the links: a flange may carry a tool
 _LEAST_SIZE = 0.1  # of the length of the arm
-_UNKNOWN_SIZE = 0.1  # m: of a link of which the file tells no length
-_OPEN = 1e-9  # of the largest: directions in which the guess has no spread at all
+_UNKNOWN_SIZE = 0.1  # m: size of a link whose length is not in the file
+_NO_SPREAD = 1e-9  # variance that counts as zero, as a share of the largest
 
 
 @dataclass(frozen=True)
@@ -34,14 +33,14 @@ class Prior:
 
     Attributes:
         mean: Expected value, shape (p,).
-        precision: Inverse covariance, shape (p, p); zero for what is not guessed at.
+        precision: Inverse covariance, shape (p, p); zero where nothing is known.
     """
 
     mean: Array
     precision: Array
 
     def times(self, factor: float) -> Prior:
-        """The prior as if it had been stated ``factor`` times."""
+        """The prior with ``factor`` times the precision."""
         return Prior(self.mean, factor * self.precision)
 
     @property
@@ -51,20 +50,15 @@ class Prior:
 
 
 def file_prior(problem: Problem, robot: Robot, scales: Sequence[Scale]) -> Prior | None:
-    """The robot file's numbers, each as uncertain as it is large.
-
-    Args:
-        problem: Unknowns; those that shift or scale signals stay free.
-        robot: The arm as its file has it.
-        scales: Torque and speed of every joint.
+    """The prior from the robot file, with the uncertainty of the module's first lines.
 
     Returns:
-        The prior; None where the file gives no link a mass.
+        The prior, or None if no link of the file has a mass.
     """
     chain = problem.chain
     if not (chain.inertial[:, 0] > 0).any():
         return None
-    expected, sizes = chain.inertial.ravel().tolist(), spread(chain).ravel().tolist()
+    expected, sizes = chain.inertial.ravel().tolist(), link_std(chain).ravel().tolist()
     known = {(e.id, e.joints): e.values for e in declared_effects(robot)}
     for e, g in problem.columns:
         effect = problem.effects[e]
@@ -73,14 +67,14 @@ def file_prior(problem: Problem, robot: Robot, scales: Sequence[Scale]) -> Prior
         declared = known.get((effect.id, effect.joints), {})
         expected.append(declared.get(gain.name, 0.0))
         sizes.append(gain.spread or max(abs(gain.lower), abs(gain.upper)))
-    free = {u for u, e, _ in problem.gains if _shifts(problem.effects[e])}
+    free = {u for u, e, _ in problem.gains if problem.effects[e].changes_signals}
     held = [u for u in range(problem.size) if u not in free]
     mapping = problem.base.mapping[held]
     scaled = mapping * np.array(sizes)
     std = np.linalg.norm(scaled, axis=1)
     scaled /= std[:, None]
     values, vectors = np.linalg.eigh(scaled @ scaled.T)
-    inside = values > _OPEN * values[-1]
+    inside = values > _NO_SPREAD * values[-1]
     root = vectors[:, inside] / np.sqrt(values[inside]) / std[:, None]
     mean, precision = np.zeros(problem.size), np.zeros((problem.size, problem.size))
     mean[held] = mapping @ np.array(expected)
@@ -88,12 +82,7 @@ def file_prior(problem: Problem, robot: Robot, scales: Sequence[Scale]) -> Prior
     return Prior(mean, precision)
 
 
-def _shifts(effect: Effect) -> bool:
-    """Whether the change of a gain is what is unknown, and not the gain."""
-    return effect.reports or effect.observes
-
-
-def spread(chain: Chain) -> Array:
+def link_std(chain: Chain) -> Array:
     """Standard deviation of each link parameter, shape (n, 10), in its SI unit."""
     mass = np.maximum(chain.inertial[:, 0], 0.0)
     second = np.abs(chain.inertial[:, [4, 6, 9]]).max(axis=1)

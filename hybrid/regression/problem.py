@@ -1,7 +1,7 @@
-"""Rigid body and effects stacked, and reduced to what can be told apart.
+"""The linear regression problem of an arm: rigid body and effects in one matrix.
 
-``tau_i = Σ_k columns_ik · theta_k`` for every joint i, theta being the base inertial
-parameters followed by the gains of the effects.
+``tau_i = Σ_k columns_ik · theta_k`` for every joint i. The unknowns theta are the base
+inertial parameters, then the gains of the effects that can be identified.
 """
 
 from __future__ import annotations
@@ -32,15 +32,16 @@ _WEIGHTLESS = 1e-9
 
 @dataclass(frozen=True)
 class Problem:
-    """Columns of an arm with some effects, and which of them count.
+    """The unknowns of an arm with some effects, and the columns that they multiply.
 
     Attributes:
         chain: The arm.
-        effects: Effects whose gains are unknown; their shapes are as given.
-        base: Independent combinations over all inertial parameters and gains.
-        inertial: Link parameters that give the transmitted torque on which some
-            effects depend, shape (n, 10).
-        columns: Effect and gain of every column behind the 10n inertial ones.
+        effects: Effects whose gains are unknown; their shapes are fixed.
+        base: Base parameters of all inertial parameters and gains.
+        inertial: Link parameters from which the transmitted torque is computed, on
+            which some effects depend, shape (n, 10).
+        columns: Index of the effect and of its gain, for each column after the 10n
+            inertial ones.
     """
 
     chain: Chain
@@ -61,7 +62,7 @@ class Problem:
 
     @cached_property
     def gains(self) -> tuple[tuple[int, int, int], ...]:
-        """(unknown, effect, gain) of every gain that was kept."""
+        """Indices (unknown, effect, gain) of every gain among the unknowns."""
         rigid = 10 * self.chain.size
         return tuple(
             (unknown, *self.columns[column - rigid])
@@ -74,16 +75,18 @@ class Problem:
         """Smallest physical value of each unknown, shape (p,); −inf without one."""
         lower = np.full(self.size, -np.inf)
         for unknown, e, g in self.gains:
-            effect, gain = self.effects[e], self.effects[e].gains[g]
-            if gain.lower >= 0:
-                # Of an effect that changes signals it is the change that is unknown.
-                changes = effect.reports or effect.observes
-                lower[unknown] = -effect.values[gain.name] if changes else 0.0
+            if self.effects[e].gains[g].lower >= 0:
+                lower[unknown] = 0.0 - self._expansion_point(e, g)
         return lower
+
+    def _expansion_point(self, e: int, g: int) -> float:
+        """Value of a gain from which its unknown is the change; 0 for most effects."""
+        effect = self.effects[e]
+        return effect.values[effect.gains[g].name] if effect.changes_signals else 0.0
 
     @cached_property
     def support(self) -> tuple[NDArray[np.intp], ...]:
-        """Unknowns that ever move joint i's torque, for each joint."""
+        """Indices of the unknowns that change the torque of joint i, for each joint."""
         motion = rich_motion(self.chain)
         stacked = stacked_columns(self.chain, self.effects, self.columns, motion)
         size = np.abs(stacked[:, :, list(self.base.kept)]).max(axis=0)
@@ -91,49 +94,49 @@ class Problem:
 
     @cached_property
     def offsets(self) -> tuple[int, ...]:
-        """First row of each joint in :meth:`rows`, and their total at the end."""
+        """First row of each joint in :meth:`rows`, then the number of rows."""
         sizes = [len(s) + 1 for s in self.support]
         return (0, *np.cumsum(sizes).tolist())
 
     @cached_property
     def links(self) -> tuple[int, ...]:
-        """Kept inertial parameters, of 10n: what the rows of the links depend on."""
+        """Columns of the base inertial parameters among all 10n, c of them."""
         return tuple(c for c in self.base.kept if c < 10 * self.chain.size)
 
     @cached_property
     def link_rows(self) -> tuple[slice, ...]:
-        """Which of :meth:`rows` are of the links, for each joint: the first of its."""
+        """Those of :meth:`rows` that hold link columns, for each joint."""
         counts = [int((s < len(self.links)).sum()) for s in self.support]
         pairs = zip(self.offsets, counts, strict=False)
         return tuple(slice(start, start + count) for start, count in pairs)
 
     @cached_property
     def other_rows(self) -> tuple[slice, ...]:
-        """Which are not: those of effects and the torque, for each joint."""
+        """Those of :meth:`rows` that hold effect columns and torque, for each joint."""
         pairs = zip(self.link_rows, self.offsets[1:], strict=True)
         return tuple(slice(links.stop, end) for links, end in pairs)
 
     @property
-    def alike(self) -> bool:
-        """Whether the rows of the links are those of any other problem."""
-        return not any(e.observes or e.reports for e in self.effects)
+    def changes_signals(self) -> bool:
+        """Whether an effect changes the signals on which the link columns depend."""
+        return any(e.changes_signals for e in self.effects)
 
-    def same(self, other: Problem) -> bool:
+    def equals(self, other: Problem) -> bool:
         """Whether another problem has the same unknowns and columns."""
         mine, its = ((p.effects, p.columns, p.base.kept) for p in (self, other))
         return mine == its and np.array_equal(self.inertial, other.inertial)
 
     def complete(self) -> Problem:
-        """The same with the gains that were left out, behind all others."""
-        left_out = set(effect_gains(self.effects)) - set(self.columns)
-        if not left_out:
+        """The same problem with all gains of its effects; those added come last."""
+        added = set(effect_gains(self.effects)) - set(self.columns)
+        if not added:
             return self
-        columns = (*self.columns, *sorted(left_out))
+        columns = (*self.columns, *sorted(added))
         base = stacked_base(self.chain, self.effects, columns)
         return replace(self, base=base, columns=columns)
 
-    def of_links(self, motion: Motion) -> Array:
-        """Columns of :attr:`links`, as they lie in memory, shape (n, c, N)."""
+    def link_columns(self, motion: Motion) -> Array:
+        """Columns of :attr:`links` along a motion, shape (n, c, N)."""
         Y = regressor(self.chain, motion.q, motion.v, motion.a, self.links)
         return Y.transpose(1, 2, 0)
 
@@ -143,16 +146,16 @@ class Problem:
         links: Array | None = None,
         body: RigidBody | None = None,
     ) -> Array:
-        """Columns of every joint with its torque last, at full rate.
+        """Columns of every joint, each followed by its torque, at full rate.
 
         Args:
             motion: N samples of motion and torque.
-            links: What :meth:`of_links` gives, if it is known already.
-            body: The rigid body along the motion, likewise.
+            links: Result of :meth:`link_columns`, if it was computed before.
+            body: The rigid body along the motion, if it was computed before.
 
         Returns:
-            For joint i, rows ``offsets[i]`` on hold its columns in the order of
-            ``support[i]``, then its measured torque; shape (P, N).
+            Rows, shape (P, N). Those from ``offsets[i]`` hold the columns of joint i
+            in the order of ``support[i]``, then its measured torque.
         """
         tau = motion.tau
         body = body or RigidBody(self.chain, motion, self.inertial)
@@ -161,12 +164,12 @@ class Problem:
                 motion = effect.observe(motion, body)
                 body = RigidBody(self.chain, motion, self.inertial)
         out = np.empty((self.offsets[-1], len(motion.t)))
-        links = self.of_links(motion) if links is None else links
+        links = self.link_columns(motion) if links is None else links
         effects = dict(self._effect_columns(motion, body))
         rows = self.link_rows, self.other_rows
         for i, (mine, others) in enumerate(zip(*rows, strict=True)):
             which = np.split(self.support[i], [mine.stop - mine.start])
-            # "raise" would copy these rows twice
+            # mode="raise" would copy these rows twice.
             np.take(links[i], which[0], axis=0, out=out[mine], mode="clip")
             for row, unknown in enumerate(which[1], mine.stop):
                 out[row] = effects[self.base.kept[unknown], i]
@@ -186,28 +189,25 @@ class Problem:
                 yield (column, joint), values[e][:, at, g]
 
     def fitted(self, theta: Array) -> tuple[BaseParameters, tuple[Effect, ...]]:
-        """Base inertial parameters and effects with the values of a solution.
+        """Base parameters and effects with the values of a solution.
 
         Args:
             theta: Unknowns, shape (p,).
         """
         effects = list(self.effects)
         for unknown, e, g in self.gains:
-            effect, name = effects[e], effects[e].gains[g].name
-            # Columns of an effect that changes signals measure the change still due.
-            changes = effect.reports or effect.observes
-            before = effect.values[name] if changes else 0.0
-            effects[e] = effect.at({name: before + theta[unknown]})
+            value = self._expansion_point(e, g) + theta[unknown]
+            effects[e] = effects[e].at({effects[e].gains[g].name: value})
         return self.base.with_values(theta), tuple(effects)
 
     def rigid_inertial(self, theta: Array) -> Array:
-        """Link parameters, shape (n, 10), with the rigid torque of a solution."""
+        """Link parameters that give the rigid torque of a solution, shape (n, 10)."""
         n = 10 * self.chain.size
         return self.base.with_values(theta).standard()[:n].reshape(-1, 10)
 
 
 def part(motion: Motion, samples: slice) -> Motion:
-    """Some samples of a motion."""
+    """A slice of a motion in time."""
     warm, asked = motion.temperature, motion.asked
     return replace(
         motion,
@@ -229,14 +229,14 @@ def build_problem(
     inertial: Array | None = None,
     without: Collection[tuple[int, str]] = (),
 ) -> Problem:
-    """Stack rigid body and effects and keep what any motion could tell apart.
+    """Stack rigid body and effects and reduce them to identifiable unknowns.
 
     Args:
         chain: The arm.
         effects: Effects whose gains are unknown.
-        inertial: Link parameters for the transmitted torque, shape (n, 10); the
-            chain's own by default.
-        without: Gains that stay as they are: index of the effect, name of the gain.
+        inertial: Link parameters for the transmitted torque, shape (n, 10); those of
+            the chain by default.
+        without: Gains that are not unknowns: index of the effect, name of the gain.
     """
     columns = effect_gains(effects, without)
     base = stacked_base(chain, effects, columns)

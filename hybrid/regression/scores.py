@@ -1,9 +1,8 @@
-"""Held-out squares of the torque as logged, from unfiltered rows summed in blocks."""
+"""Held-out squared residuals of the unfiltered torque, from sums over blocks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,42 +12,14 @@ from hybrid.arrays import Array
 from hybrid.regression.problem import Problem
 
 
-@dataclass(frozen=True)
 class Scores:
-    """Sums of unfiltered rows: what any solution leaves of the torque as logged.
+    """Sums of products of the unfiltered rows of each joint, over scoring blocks.
 
-    Attributes:
+    Args:
         problem: Unknowns and layout of the rows.
-        sums: Rows of each joint times rows transposed in each block, shapes
-            (B, d + 1, d + 1).
-        fold: Fold of each block, shape (B,).
+        blocks: Block of every sample, in one fold each, shape (N,) for each motion.
+        folds: Fold of every sample, shape (N,) for each motion.
     """
-
-    problem: Problem
-    sums: tuple[Array, ...]
-    fold: NDArray[np.intp]
-
-    def squares(self, theta: Array) -> Array:
-        """Squares left in each block by the solution without its fold.
-
-        Args:
-            theta: Solutions without each fold, shape (F, p).
-
-        Returns:
-            Squares of each joint, shape (B, n), [N²·m²].
-        """
-        own = theta[self.fold]  # (B, p)
-        found = np.empty((len(own), len(self.sums)))
-        for i, (sums, support) in enumerate(
-            zip(self.sums, self.problem.support, strict=True)
-        ):
-            c = np.concatenate([-own[:, support], np.ones((len(own), 1))], axis=1)
-            found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
-        return np.maximum(found, 0.0)
-
-
-class Scoring:
-    """Sums of unfiltered rows as they come; see :class:`Scores`."""
 
     def __init__(
         self,
@@ -56,31 +27,44 @@ class Scoring:
         blocks: Sequence[NDArray[np.intp]],
         folds: Sequence[NDArray[np.intp]],
     ) -> None:
-        self.blocks = blocks
+        self._problem, self._blocks = problem, blocks
         label, first = np.unique(np.concatenate(blocks), return_index=True)
         count, sizes = 1 + int(label.max()), np.diff(problem.offsets)
-        fold = np.zeros(count, dtype=np.intp)
-        fold[label] = np.concatenate(folds)[first]
-        sums = tuple(np.zeros((count, size, size)) for size in sizes)
-        self.scores = Scores(problem, sums, fold)
+        self._fold = np.zeros(count, dtype=np.intp)
+        self._fold[label] = np.concatenate(folds)[first]
+        self._sums = [np.zeros((count, size, size)) for size in sizes]
 
     def add(self, r: int, here: slice, D: Array, moving: Array) -> None:
-        """Take in rows, shape (P, N), of samples of motion r.
+        """Add rows of some samples of motion r.
 
         Args:
-            r: Number of the motion.
+            r: Index of the motion.
             here: The samples.
-            D: Their rows. They are zero afterwards where their joint stands.
+            D: Their rows, shape (P, N); set to zero in place where the joint stands.
             moving: One where a joint moves, else zero, shape (n, N).
         """
-        label = self.blocks[r][here]
-        runs, offsets = runs_of(label), self.scores.problem.offsets
-        for i, sums in enumerate(self.scores.sums):
+        label = self._blocks[r][here]
+        runs, offsets = runs_of(label), self._problem.offsets
+        for i, sums in enumerate(self._sums):
             own = D[offsets[i] : offsets[i + 1]]
             own *= moving[i]
             for start, stop in runs:
                 part = own[:, start:stop]
                 sums[label[start]] += part @ part.T
+
+    def squares(self, theta: Array) -> Array:
+        """Squared residuals of each block by the solution without its fold, (B, n).
+
+        Args:
+            theta: Solutions without each fold, shape (F, p).
+        """
+        own = theta[self._fold]  # (B, p)
+        found = np.empty((len(own), len(self._sums)))
+        pairs = zip(self._sums, self._problem.support, strict=True)
+        for i, (sums, support) in enumerate(pairs):
+            c = np.concatenate([-own[:, support], np.ones((len(own), 1))], axis=1)
+            found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
+        return np.maximum(found, 0.0)
 
 
 def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:

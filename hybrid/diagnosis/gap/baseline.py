@@ -12,7 +12,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
-from hybrid.identification.preparation import motions_of
+from hybrid.identification.preparation import motions_from_logs
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -49,7 +49,7 @@ class Baseline:
         self, logs: Sequence[Recording | Motion]
     ) -> list[Recording | Motion]:
         """Checked logs, or motions, without the model's effects and remainder."""
-        motions, _ = motions_of(logs, self.model.cutoff)
+        motions, _ = motions_from_logs(logs, self.model.cutoff)
         return [
             replace(x, tau=x.tau - self._torque(m))
             for x, m in zip(logs, motions, strict=True)

@@ -14,7 +14,7 @@ from hybrid.diagnosis.gap.faults import Faults, find_faults
 from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.errors import RecordingError
-from hybrid.identification.preparation import motions_of
+from hybrid.identification.preparation import motions_from_logs
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
@@ -56,7 +56,7 @@ def measure_gap(
             "motions do not say how they were filtered; valid is a cut-off besides, "
             "in Hz"
         )
-    motions, cutoff = motions_of(recordings, cutoff)
+    motions, cutoff = motions_from_logs(recordings, cutoff)
     cutoff = min(cutoff, *(m.rate / 2 for m in motions))  # no filter lets through more
     motions = [correct(m) for m in motions] if correct else motions
     _check_torque(motions)

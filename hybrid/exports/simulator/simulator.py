@@ -31,7 +31,7 @@ from hybrid.files import atomic_path
 from hybrid.model.declared import declared_effects
 from hybrid.names import xml_comment
 from hybrid.plant.arm import overrides
-from hybrid.plant.native import (
+from hybrid.plant.joint_fields import (
     effects_of_fields,
     fall,
     knee,

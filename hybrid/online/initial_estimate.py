@@ -1,4 +1,4 @@
-"""What is known before the first sample: values, spread and bounds of the unknowns."""
+"""The unknowns before the first sample: initial values, covariance and bounds."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 
 REACH = 0.15  # m: usual size of a link, and distance of a payload from the last joint
+_LEAST_MASS, _LEAST_MOMENT, _LEAST_INERTIA = 0.1, 0.01, 0.001  # kg, kg·m, kg·m²
 
 
 @dataclass(frozen=True)
-class Start:
-    """First estimate of base parameters, gains and shapes.
+class InitialEstimate:
+    """Initial estimate of base parameters, gains and shapes.
 
     Attributes:
         robot: The arm.
-        problem: Which base parameters and gains count.
-        inertial: First link parameters, shape (n, 10).
+        problem: The unknowns.
+        inertial: Initial link parameters, shape (n, 10).
         prior: Relative standard deviation of link parameters and gains.
-        shape_prior: The same for shapes; 0 holds them.
+        shape_prior: Relative standard deviation of shapes; 0 keeps them constant.
     """
 
     robot: Robot
@@ -36,7 +37,7 @@ class Start:
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """The effects; gains that base parameters have absorbed are zero."""
+        """The effects; gains that are part of base parameters are zero."""
         kept = {(e, g) for _, e, g in self.problem.gains}
         return tuple(
             effect.at(
@@ -47,7 +48,7 @@ class Start:
 
     @cached_property
     def theta(self) -> Array:
-        """First values, shape (d,)."""
+        """Initial values, shape (d,)."""
         problem = self.problem
         gains = [problem.effects[e].gain_values[g] for e, g in problem.columns]
         base = problem.base.mapping @ np.concatenate([self.inertial.ravel(), gains])
@@ -56,35 +57,32 @@ class Start:
 
     @cached_property
     def root(self) -> Array:
-        """Square root of the first covariance, shape (d, d)."""
+        """Square root of the initial covariance, shape (d, d)."""
         problem = self.problem
-        spread = self.prior * np.concatenate([self._link_sizes(), self._gain_sizes()])
-        directions = problem.base.mapping * spread  # (p, 10n + gains)
+        std = self.prior * np.concatenate([self._link_sizes(), self._gain_sizes()])
+        directions = problem.base.mapping * std  # (p, 10n + gains)
         shapes = self.theta[problem.size :]
         d, p = len(self.theta), problem.size
         root = np.zeros((d, d))
         upper: Array = np.asarray(np.linalg.qr(directions.T, mode="r"))
         root[:p, :p] = upper.T
-        root[p:, p:] = np.diag(self.shape_prior * np.abs(shapes) * self._fitted)
+        continuous = [not s.whole for e in problem.effects for s in e.shapes]
+        root[p:, p:] = np.diag(self.shape_prior * np.abs(shapes) * continuous)
         return root
 
-    @property
-    def _fitted(self) -> Array:
-        """1 for shapes that are tracked, 0 for those that are chosen, shape (s,)."""
-        shapes = [s for e in self.problem.effects for s in e.shapes]
-        return np.array([0.0 if s.whole else 1.0 for s in shapes])
-
     def _link_sizes(self) -> Array:
-        """Sizes of the inertial parameters of every link, shape (10n,)."""
+        """Magnitude of the inertial parameters of every link, shape (10n,)."""
         sizes = []
         for link in self.robot.chain.inertial:
-            moment = np.linalg.norm(link[1:4]) + REACH * abs(link[0])
-            turn = abs(link[[4, 6, 9]]).max() + REACH * moment
-            sizes += [max(abs(link[0]), 0.1), *3 * [moment + 0.01], *6 * [turn + 0.001]]
+            mass = abs(link[0])
+            moment = np.linalg.norm(link[1:4]) + REACH * mass
+            inertia = abs(link[[4, 6, 9]]).max() + REACH * moment
+            sizes += [max(mass, _LEAST_MASS), *3 * [moment + _LEAST_MOMENT]]
+            sizes += 6 * [inertia + _LEAST_INERTIA]
         return np.array(sizes)
 
     def _gain_sizes(self) -> Array:
-        """Sizes of the gains: their value, or what is usual for the joint."""
+        """Magnitude of the gains: their value, or what is usual for the joint."""
         scales, sizes = joint_scales(self.robot), []
         for e, g in self.problem.columns:
             effect = self.problem.effects[e]
@@ -111,7 +109,7 @@ class Start:
         return np.append(self.problem.lower, low), np.append(most, high)
 
     def payload_directions(self, sizes: Array) -> Array:
-        """Changes of the unknowns by payload parameters of these sizes, (d, 10)."""
+        """Change of the unknowns by each payload parameter of a size, shape (d, 10)."""
         last = slice(10 * self.robot.size - 10, 10 * self.robot.size)
         out = np.zeros((len(self.theta), 10))
         out[: self.problem.size] = self.problem.base.mapping[:, last] * sizes

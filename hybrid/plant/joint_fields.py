@@ -1,4 +1,4 @@
-"""Split effects into what a simulator's joint has fields for, and the rest."""
+"""Conversion between effects and the fields of a simulator's joint."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.robot import Robot
 
-# Of a joint with a preload and no spring, [N·m/rad]: the spring that has the preload
-# pulls no differently wherever the joint is.
-_SOFT = 1e-9
+# Stiffness for a preload without a spring, [N·m/rad]: so soft that the torque is
+# constant over the joint's range.
+_SOFTEST = 1e-9
 
 
 def split_effects(
@@ -31,12 +31,12 @@ def split_effects(
 
     Args:
         effects: Effects of an arm.
-        fields: The fields that the simulator has, of ``hybrid.effects.instant.FIELDS``.
+        fields: Fields of the simulator, of ``hybrid.effects.instant.FIELDS``.
         size: Number of joints n of the arm.
 
     Returns:
-        Each field's values, shape (n,), and the effects with what is left of them.
-        Where the sum of a field is below zero, it is an effect again.
+        Values of each field, shape (n,), and the remaining effects. The negative part
+        of a field's sum is an effect again.
     """
     values, rest = {name: np.zeros(size) for name in fields}, []
     for effect in effects:
@@ -44,24 +44,26 @@ def split_effects(
         for field in values.keys() & set(effect.exact_fields.values()):
             names = [gain for gain, to in effect.exact_fields.items() if to == field]
             share = min(left[name] for name in names)
-            if len(names) > 1:  # levels of several directions, of which one is common
+            if (
+                len(names) > 1
+            ):  # levels of both directions: the field has the common one
                 share = max(share, 0.0)
             values[field][effect.joints[0]] += share
             left |= {name: left[name] - share for name in names}
         if any(left[g.name] for g in effect.gains):
             rest.append(effect if left == effect.values else effect.at(left))
-    senseless = _without_sense(values)
-    for field, x in senseless.items():
+    unphysical = _unphysical(values)
+    for field, x in unphysical.items():
         values[field] -= x
-    return values, rest + list(effects_of_fields(senseless))
+    return values, rest + list(effects_of_fields(unphysical))
 
 
-def _without_sense(values: Mapping[str, Array]) -> dict[str, Array]:
-    """The part of fields that no joint may have, which would drive it."""
+def _unphysical(values: Mapping[str, Array]) -> dict[str, Array]:
+    """The part of fields that would drive a joint, so that a simulator refuses it."""
     out = {name: np.minimum(x, 0.0) for name, x in values.items()}
-    out.pop("preload", None)  # it has any sign
+    out.pop("preload", None)  # it may have any sign
     if "quadratic" in out:
-        # damping + quadratic·|v| + cubic·v² is nowhere below zero.
+        # damping + quadratic·|v| + cubic·v² must not be negative.
         linear, cubic = (np.maximum(values[x], 0.0) for x in ("damping", "cubic"))
         least = -2.0 * np.sqrt(linear * cubic)
         out["quadratic"] = np.minimum(values["quadratic"] - least, 0.0)
@@ -69,10 +71,10 @@ def _without_sense(values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
-    """Values of joints' fields as effects, joint by joint.
+    """Values of joint fields as effects, joint by joint.
 
     Args:
-        values: Values by field, shape (n,); fields that are not there are zero.
+        values: Values by field, shape (n,); missing fields are zero.
     """
     kinds: tuple[type[Effect], ...] = (
         Armature, Viscous, Coulomb, NonlinearViscous, Spring,
@@ -89,7 +91,7 @@ def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
 
 
 def knees(robot: Robot) -> list[Effect]:
-    """Friction of a robot file that rises to a level."""
+    """Friction of a robot file that rises linearly to a level."""
     return [
         knee(int(j), float(robot.knee[j]), float(robot.knee_speed[j]))
         for j in np.flatnonzero(robot.knee)
@@ -105,18 +107,18 @@ def ripples(robot: Robot) -> list[Effect]:
 
 
 def falls(robot: Robot) -> list[Effect]:
-    """Friction of a robot file that falls as a joint moves."""
+    """Friction of a robot file that falls with speed."""
     return [fall(int(j), level, speed) for j, level, speed in robot.falling.tolist()]
 
 
 def fall(joint: int, level: float, speed: float) -> Effect:
-    """Friction that falls, as motors of a robot file have it."""
+    """Friction that falls with speed, as an actuator of MuJoCo has it."""
     values = {"level": level, "velocity": speed, "exponent": 2.0}
     return Stribeck((joint,), values)
 
 
 def knee(joint: int, level: float, speed: float) -> Effect:
-    """Friction that rises to a level at a speed."""
+    """Friction that rises linearly to a level at a speed."""
     values = {"rising": level, "threshold": speed, "width": 0.0}
     return ThresholdFriction((joint,), values)
 
@@ -124,14 +126,17 @@ def knee(joint: int, level: float, speed: float) -> Effect:
 def with_curves(
     robot: Robot, rubbing: Sequence[Effect], has: bool
 ) -> tuple[Robot, list[Effect]]:
-    """The arm with the knees and falls that it has just so, and all other friction.
+    """Separate friction curves that a simulator has exactly from those to be fitted.
 
-    Those of a joint with other friction, which is fitted, are fitted with it.
+    At a joint with other friction, its curves are to be fitted with it.
 
     Args:
         robot: The arm as its file has it.
-        rubbing: Friction that no field says, falls of the file among it.
-        has: Whether the simulator has knees and falls at all.
+        rubbing: Friction without a field, including falling friction of the file.
+        has: Whether the simulator has rising and falling friction.
+
+    Returns:
+        The arm with the exact curves only, and all other friction.
     """
     falling = [
         e for e in rubbing
@@ -150,11 +155,11 @@ def with_curves(
 
 
 def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Stiffness [N·m/rad] of joints' springs, and where they are relaxed [rad], (n,).
+    """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, shape (n,) each.
 
     Args:
         values: ``stiffness`` and ``preload``, shape (n,).
     """
     stiffness, preload = values["stiffness"], values["preload"]
-    stiffness = np.where((stiffness == 0) & (preload != 0), _SOFT, stiffness)
+    stiffness = np.where((stiffness == 0) & (preload != 0), _SOFTEST, stiffness)
     return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

@@ -1,7 +1,7 @@
-"""First guesses of where instrument, base and tool are.
+"""Initial estimates of the frames of instrument, base and tool.
 
-Linear least squares in the entries of an arbitrary matrix, of which the nearest
-rotation is kept, after Shah 2013, doi 10.1115/1.4024473; it needs no first guess.
+Linear least squares finds the entries of an arbitrary matrix, and the nearest rotation
+replaces it: Shah 2013, doi 10.1115/1.4024473. It needs no initial estimate.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ IDENTITY = FixedStep(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True)
 class Alignment:
-    """First guesses.
+    """Initial estimates.
 
     Attributes:
         base: Base of the arm in the instrument's frame.
-        tools: Each measured point (with its axes) in the flange's frame.
+        tools: Frame of each measured point in the flange's frame.
         stations: Stations of a distance meter in the base frame, shape (s, 3), [m].
     """
 
@@ -35,19 +35,19 @@ class Alignment:
 def align(
     flange: Frame, data: Measurements, *, base: bool = True, tool: bool = True
 ) -> Alignment:
-    """Guess base and tool frames, or stations, from the nominal arm.
+    """Estimate base and tool frames, or stations, with the nominal arm.
 
     Args:
         flange: Nominal pose of the flange in the base frame, N samples.
-        data: What was measured in them.
-        base: Whether the base is unknown; it is the instrument's frame otherwise.
-        tool: Whether the tool is unknown; it is the flange otherwise.
+        data: Measurements in these poses.
+        base: Whether the base is unknown; else it is the instrument's frame.
+        tool: Whether the tool is unknown; else it is the flange.
     """
     if data.distance is not None:
         return Alignment(IDENTITY, (IDENTITY,), _stations(flange.origin, data.distance))
     nowhere = np.zeros((0, 3))
     points = data.position
-    if data.rotation is not None:  # the tips of the tool's axes are points as well
+    if data.rotation is not None:  # use the tips of the tool's axes as points
         points = points + np.concatenate(
             [np.zeros((data.size, 1, 3)), data.rotation.swapaxes(1, 2)], axis=1
         )
@@ -80,9 +80,9 @@ def _linear(
         p, R, t = points[:, j] - center, flange.rotation, flange.origin
         own = np.zeros((len(p), 3, 3 * count))
         own[:, :, 3 * j : 3 * j + 3] = -R
-        spread = np.einsum("ab,nc->nabc", np.eye(3), p).reshape(len(p), 3, 9)
+        entries = np.einsum("ab,nc->nabc", np.eye(3), p).reshape(len(p), 3, 9)
         shift = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-        columns = ([spread, shift] if base else []) + ([own] if tool else [])
+        columns = ([entries, shift] if base else []) + ([own] if tool else [])
         offset = np.eye(4, 3, -1)[j] if points.shape[1] == 4 else np.zeros(3)
         target = t if tool else t + R @ offset
         target = target if base else target - points[:, j]
@@ -90,7 +90,7 @@ def _linear(
         blocks.append(np.concatenate(columns, axis=-1)[seen])
         targets.append(target[seen])
     A = np.concatenate(blocks).reshape(-1, blocks[0].shape[-1])
-    # Directions that these poses hardly show are left at zero.
+    # Directions that these poses hardly determine stay at zero.
     solution = np.linalg.lstsq(A, np.concatenate(targets).ravel(), rcond=1e-3)[0]
     M = solution[:9].reshape(3, 3) if base else np.eye(3)
     offsets = solution[12 if base else 0 :] if tool else np.zeros(3 * count)
@@ -105,7 +105,7 @@ def _nearest_rotation(M: Array) -> Array:
 
 
 def _stations(point: Array, distance: Array) -> Array:
-    """Trilaterate: |p|² − d² = 2 p·s − |s|² is linear in s and |s|²."""
+    """Trilateration: |p|² − d² = 2 p·s − |s|² is linear in s and |s|²."""
     found = []
     center = point.mean(axis=0)
     p = point - center
