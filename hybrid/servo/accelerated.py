@@ -42,7 +42,7 @@ _MOTORS = ("actuator_gainprm", "actuator_biasprm", "actuator_dynprm")
 _STARTS = ("dead", "state")
 _SEARCHES = 4  # of the solver, and of its lines: stops of joints need no more
 _STEPS = 512  # of one call of the loop
-_LEAST, _MORE = 256, 16  # replays: a loop is compiled for 256, 4096, ...
+_LEAST, _MORE = 256, 4  # replays: a loop is compiled for 256, 1024, 4096, ...
 
 
 def check_gpu() -> None:
@@ -93,10 +93,12 @@ class GpuRollout:
         control = np.empty((len(every), -(-steps // _STEPS) * _STEPS, n))
         for own, x in zip(control, every, strict=True):
             own[: len(x.control)], own[len(x.control) :] = x.control, x.control[-1]
-        models = [x.model for x in every]
-        fields = {x: np.array([getattr(m, x) for m in models]) for x in _FIELDS}
-        fields["opt.timestep"] = np.array([m.opt.timestep for m in models])
-        motors = [np.array([getattr(m, x) for m in models]) for x in _MOTORS]
+        models = list({id(x.model): x.model for x in every}.values())
+        row = {id(m): k for k, m in enumerate(models)}
+        which = [row[id(x.model)] for x in every]
+        fields = {x: np.array([getattr(m, x) for m in models])[which] for x in _FIELDS}
+        fields["opt.timestep"] = np.array([m.opt.timestep for m in models])[which]
+        motors = [np.array([getattr(m, x) for m in models])[which] for x in _MOTORS]
         dead, states = (np.array([getattr(x, k) for x in every]) for k in _STARTS)
         state = tuple(np.split(states, [1, 1 + n, 1 + 2 * n], axis=1)[1:])
         arm, own, moved = (self._model, self._data), (fields, motors, dead), []

@@ -20,7 +20,7 @@ from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
 from hybrid.servo.evidence import Explanation
 from hybrid.servo.model import heights
 from hybrid.servo.noise import resolution
-from hybrid.servo.problem import Estimate, Problem
+from hybrid.servo.problem import SHARED, Estimate, Problem
 from hybrid.servo.search import Search
 from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
@@ -207,7 +207,7 @@ def _findings(
             interval=(low, high),
             probability=float(1.0 / (1.0 + np.exp(-best.losses[k, j]))),
             equivalents=tuple(QUANTITIES[i].effect for i in others),
-            worth=float((error - errors[0])[j]),
+            worth=float((error - errors[0])[slice(None) if SHARED[k] else j].max()),
         )
         findings.append(finding)
     return tuple(sorted(findings, key=lambda f: -f.worth))
@@ -219,7 +219,15 @@ def _unsaid(robot: Robot, drive: Drive, after: Array, written: Array) -> list[st
         f"{1000 * x:.1f} instead of {1000 * y:.1f}"
         for x, y in zip(written, after, strict=True)
     ]
-    return [
+    found = [
+        f"the written file has no ground: the link of {joint} touches one where its "
+        f"centre of mass is {height:.3f} m above the base"
+        for joint, height, none in zip(
+            robot.joints, drive["ground"], Drive.declared(robot)["ground"], strict=True
+        )
+        if height > none
+    ]
+    return found + [
         f"MJCF has no place for the {each.name.replace('_', ' ')} of {joint}, "
         f"{drive[each.name][j]:.3g} {each.unit}: replays of a written file miss by "
         f"{less[j]} mrad there"
