@@ -79,11 +79,12 @@ def speeds(robot: Robot, parts: list[Stretch], batch: int, dead: float) -> dict:
         for _ in range(batch // len(parts))
     ]
     runs, cores = ServoSimulator(robot).runs(parts, drives), os.sched_getaffinity(0)
-    out = {"batch": batch, "dead band": dead, "cores": len(cores)}
+    out = {"batch": batch, "dead band [rad]": dead, "cores": len(cores)}
     gpu, start = GpuRollout(robot), time.perf_counter()
     gpu(runs)
     first, took = time.perf_counter() - start, best(gpu, runs)
-    out["compiling [s]"], out["GPU [1/s]"] = first - took, batch / took
+    out["compiling [s]"] = round(first - took, 1)
+    out["GPU [1/s]"] = batch / took
     out["C, all cores [1/s]"] = batch / best(rolled, runs)
     os.sched_setaffinity(0, {min(cores)})
     few = runs[:512]
@@ -120,10 +121,12 @@ def main() -> None:
     off = differences(robot, parts[:4])
     for name, x in off.items():
         print(f"{name:36} " + " ".join(f"{v:.1e}" for v in x), flush=True)
-    cells = tuple(tuple(f"{v:.4g}" for v in x.values()) for x in rows)
+    cells = tuple(
+        tuple(f"{v:g}" if v < 1 else f"{v:,.0f}" for v in x.values()) for x in rows
+    )
     worst = max(max(x) for x in off.values())
     caption = f"{card}; positions differ by {worst:.1e} mrad RMS at most"
-    table = markdown_table(Table(tuple(rows[0]), cells, caption))
+    table = markdown_table(Table(tuple(rows[0]), cells)) + f"\n{caption}.\n"
     print(table)
     how = provenance(command="python benchmarks/replays.py --robot so101.xml")
     content = {"card": card, "differences [mrad]": off, "speeds": rows}

@@ -8,7 +8,9 @@ and in the order of MuJoCo's step.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
 from functools import cache
+from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,7 +70,9 @@ class GpuRollout:
 
     def __init__(self, robot: Robot) -> None:
         import jax
-        from mujoco import mjx
+
+        with redirect_stdout(StringIO()):  # it tells that Warp is not there
+            from mujoco import mjx
 
         spec = servo_spec(robot)
         for actuator in spec.actuators:
