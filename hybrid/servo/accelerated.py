@@ -95,8 +95,9 @@ class GpuRollout:
         steps, n = max(len(x.control) for x in runs), runs[0].control.shape[1]
         every = [*runs, *[runs[-1]] * (_padded(len(runs)) - len(runs))]
         control = np.empty((len(every), -(-steps // _STEPS) * _STEPS, n))
-        for own, x in zip(control, every, strict=True):
-            own[: len(x.control)], own[len(x.control) :] = x.control, x.control[-1]
+        for goals, x in zip(control, every, strict=True):
+            goals[: len(x.control)] = x.control
+            goals[len(x.control) :] = x.control[-1]
         models = list({id(x.model): x.model for x in every}.values())
         row = {id(m): k for k, m in enumerate(models)}
         which = [row[id(x.model)] for x in every]
@@ -105,9 +106,9 @@ class GpuRollout:
         motors = [np.array([getattr(m, x) for m in models])[which] for x in _MOTORS]
         dead, states = (np.array([getattr(x, k) for x in every]) for k in _STARTS)
         state = tuple(np.split(states, [1, 1 + n, 1 + 2 * n], axis=1)[1:])
-        arm, own, moved = (self._model, self._data), (fields, motors, dead), []
+        arm, moved = (self._model, self._data), []
         with jax.enable_x64(True):
-            own = jax.device_put(own)
+            own = jax.device_put((fields, motors, dead))
             for goals in np.split(control, control.shape[1] // _STEPS, axis=1):
                 state, part = _loop()(*arm, *own, goals, state)
                 moved.append(part)
