@@ -89,7 +89,7 @@ def lay_ground(spec: mujoco.MjSpec, robot: Robot) -> None:
         return
     up, kind = _up(robot), mujoco.mjtGeom
     turn = Rotation.align_vectors([up], [[0.0, 0.0, 1.0]])[0]
-    how = {"condim": 1, "contype": 0, "conaffinity": 1}
+    how: dict[str, Any] = {"condim": 1, "contype": 0, "conaffinity": 1}
     quat = turn.as_quat(scalar_first=True)
     plane = {"type": kind.mjGEOM_PLANE, "pos": _level(robot) * up, "quat": quat}
     spec.worldbody.add_geom(size=[1.0, 1.0, 1.0], **plane, **how)
