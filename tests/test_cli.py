@@ -288,7 +288,7 @@ class TestIdentifyAndPredict:
         assert content["cutoff"] == DynamicModel.load(tmp_path / "m.json").cutoff == 7
         assert content["provenance"]["seed"] == 5
         assert content["provenance"]["settings"] == {
-            "joints": None, "hold": {}, "map": None, "known_mass": {},
+            "joints": None, "hold": {}, "map": None, "known_mass": {}, "gpu": False,
             "estimator": "ls",
             "stages": ["rigid"], "effects": "", "cutoff": 7, "robust": True,
             "consistent": False,

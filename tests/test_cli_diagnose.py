@@ -179,6 +179,7 @@ def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
         "map": None,
         "cutoff": 9,
         "known_mass": {},
+        "gpu": False,
     }
     hashes = {x["file"]: x["sha256"] for x in how["inputs"]}
     assert hashes["planar.xml"] == sha256(Path(PLANAR))

@@ -13,6 +13,7 @@ from patch import patch_of
 from witnesses import Witnesses
 
 SIGNALS = ("hybrid/signals",)
+FACTOR = "int(rate / (_SAMPLES_PER_PERIOD * cutoff)"  # in a line of the filters
 
 
 def test_a_seed_draws_the_same_mutants_and_fewer_are_the_first_of_more():
@@ -46,9 +47,7 @@ def test_a_patch_changes_the_function_and_its_undoing_changes_it_back():
     def mutants():
         path = "hybrid/signals/filters.py"
         for mutant in mutation.mutants(path):
-            if "int(rate / (5.0 * cutoff)" in mutant.place and "Div_Mul" in (
-                mutant.operator
-            ):
+            if FACTOR in mutant.place and "Div_Mul" in mutant.operator:
                 return mutant
         raise AssertionError("no such line")
 
@@ -60,7 +59,7 @@ def test_a_patch_changes_the_function_and_its_undoing_changes_it_back():
     before, known = function.__code__, Sampler.for_rate(1000.0, 20.0).factor
     try:
         patch.apply()
-        assert known == 14 and Sampler.for_rate(1000.0, 20.0).factor == 100_000
+        assert known == 14 and Sampler.for_rate(1000.0, 20.0).factor == 70_000
     finally:
         function.__code__ = before
     assert Sampler.for_rate(1000.0, 20.0).factor == known
@@ -68,7 +67,9 @@ def test_a_patch_changes_the_function_and_its_undoing_changes_it_back():
 
 def test_a_constant_is_no_function():
     (mutant, *_) = [
-        m for m in mutation.mutants("hybrid/signals/filters.py") if "_PART =" in m.place
+        m
+        for m in mutation.mutants("hybrid/signals/filters.py")
+        if "_SHORT =" in m.place
     ]
     source = (mutation.ROOT / mutant.path).read_text()
     assert patch_of(source, mutant) is None
@@ -89,10 +90,10 @@ def _witnesses(costs, path, *words, needs=None):
 
 def test_a_mutant_meets_the_cheapest_tests_that_execute_its_line():
     """What they share counts once, and not for those that do without it."""
-    mutant = _mutant("int(rate / (5.0 * cutoff)")
+    mutant = _mutant(FACTOR)
     costs = {"a::dear": 8.0, "a::cheap": 0.5, "b::x": 1.0, "b::y": 1.0, "fixture": 5.0}
     needs = {x: ["fixture"] * (x[0] == "b") for x in costs if x != "fixture"}
-    word = "int(rate / (5.0 * cutoff)"
+    word = FACTOR
     found = _witnesses(costs, mutant.path, word, needs=needs)
     assert found.of(mutant) == ("a::cheap", "b::x", "b::y")
     assert found.price(("b::x", "b::y")) == 1.0 + 1.0 + 5.0
@@ -103,9 +104,9 @@ def test_a_mutant_meets_the_cheapest_tests_that_execute_its_line():
 
 
 def test_a_constant_meets_the_tests_that_execute_a_line_which_names_it():
-    mutant, costs = _mutant("_PART ="), {"a::b": 1.0}
-    assert _witnesses(costs, mutant.path, "< _PART").of(mutant) == ("a::b",)
-    assert not _witnesses(costs, mutant.path, "int(rate / (5.0").of(mutant)
+    mutant, costs = _mutant("_SHORT ="), {"a::b": 1.0}
+    assert _witnesses(costs, mutant.path, "< _SHORT").of(mutant) == ("a::b",)
+    assert not _witnesses(costs, mutant.path, "int(rate /").of(mutant)
 
 
 def test_a_constant_that_its_module_never_names_meets_tests_of_those_that_do():
@@ -117,8 +118,8 @@ def test_a_constant_that_its_module_never_names_meets_tests_of_those_that_do():
 
 def test_a_test_file_that_is_watched_anew_replaces_what_it_executed_before():
     path = "hybrid/signals/filters.py"
-    old = _witnesses({"a::x": 1.0, "b::x": 1.0}, path, "_PART")
-    new = _witnesses({"a::y": 2.0, "f": 3.0}, path, "_PART", needs={"a::y": ["f"]})
+    old = _witnesses({"a::x": 1.0, "b::x": 1.0}, path, "_SHORT")
+    new = _witnesses({"a::y": 2.0, "f": 3.0}, path, "_SHORT", needs={"a::y": ["f"]})
     both = old.updated(new)
     assert both.costs == {"b::x": 1.0, "a::y": 2.0, "f": 3.0}
     assert both.needs == {"b::x": [], "a::y": ["f"]}

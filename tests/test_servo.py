@@ -8,7 +8,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from arms import MODELS
+from arms import MODELS, random_arm
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +19,7 @@ from hybrid.recording import Recording, write
 from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
-from hybrid.servo.model import bristles
+from hybrid.servo.model import bristles, heights
 from hybrid.servo.noise import Noise, resolution
 from hybrid.servo.problem import Problem
 from hybrid.servo.search import Search
@@ -52,6 +52,11 @@ ARM = """<mujoco model="two">
   </actuator>
 </mujoco>
 """
+TABLE = 0.12  # m
+ON_TABLE = ARM.replace(
+    "<worldbody>",
+    f'<worldbody><geom type="plane" pos="0 0 {TABLE}" size="1 1 1" condim="1"/>',
+)
 TICK = 2 * np.pi / 4096
 RATE = 50.0
 
@@ -85,15 +90,25 @@ def commands(seed: int, seconds: float) -> np.ndarray:
 
 
 def log(
-    seed: int, seconds: float = 10.0, delay: float = 0.0, dead: float = 0.0, **changed
+    seed: int,
+    seconds: float = 10.0,
+    delay: float = 0.0,
+    dead: float = 0.0,
+    low: bool = False,
+    **changed,
 ) -> Recording:
-    """A log by MuJoCo's own friction and servos at 1 ms, with a coarse encoder."""
-    model = mujoco.MjModel.from_xml_string(ARM)
+    """A log by MuJoCo's own friction and servos at 1 ms, with a coarse encoder.
+
+    A low one is on a table, on which the elbow's link comes down.
+    """
+    model = mujoco.MjModel.from_xml_string(ON_TABLE if low else ARM)
     for name, value in changed.items():
         getattr(model, name)[:] = value
     model.actuator_biasprm[:, 1] = -model.actuator_gainprm[:, 0]
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    if not low:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     command, parts = commands(seed, seconds), round(1 / RATE / model.opt.timestep)
+    command = command + low * np.array([1.3, 0.7])
     data = mujoco.MjData(model)
     data.qpos[:] = command[0]
     t, q = np.arange(len(command)) / RATE, []
@@ -245,6 +260,36 @@ def test_a_joint_goes_no_further_than_its_stop(robot):
     q = replay(robot, steady(goal, start), upper=np.array([0.9, 3.0]))
     assert q[-1, 0] == pytest.approx(0.9, abs=0.02)
     assert replay(robot, steady(goal, start))[-1, 0] > 1.3
+
+
+def test_a_link_goes_no_lower_than_the_ground(robot):
+    start, goal = np.array([1.2, 0.0]), np.array([2.2, 0.3])
+    above = replay(robot, steady(goal, start), ground=np.array([-1.0, 0.15]))
+    assert heights(robot, above)[-1, 1] == pytest.approx(0.15, abs=1e-3)
+    assert heights(robot, replay(robot, steady(goal, start)))[-1, 1] < 0.12
+
+
+def test_heights_are_those_of_the_simulator():
+    for seed in range(5):
+        other = random_arm(seed)
+        model = other.mujoco_spec().compile()
+        data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+        data.qpos[:] = rng.uniform(-1, 1, other.size)
+        mujoco.mj_kinematics(model, data)
+        up = -other.chain.gravity / np.linalg.norm(other.chain.gravity)
+        seen = heights(other, data.qpos[None])[0]
+        assert seen == pytest.approx(data.xipos[1:] @ up, abs=1e-9)
+
+
+def test_a_table_that_a_link_comes_down_on_is_found(robot):
+    logs = [log(k, 6.0, low=True) for k in range(3)]
+    fit = fit_servo(robot, logs)
+    (touched,) = (x for x in fit.findings if x.quantity == "ground")
+    assert (touched.effect, touched.joint) == ("contact", "elbow")
+    # The centre of mass is halfway down a capsule of 1.5 cm, which slopes.
+    assert TABLE + 0.015 < touched.value < TABLE + 0.015 + 0.08
+    assert (fit.after < 0.5 * fit.plain).any()
+    assert any("the written file has no ground" in x for x in fit.notes)
 
 
 def test_a_goal_moves_no_faster_than_its_pace(robot):

@@ -60,7 +60,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="HZ",
         help="cut-off of columns and torque (default: from the spectrum)",
     )
-    options.add_known_mass(parser)
+    options.add_servo(parser)
     parser.add_argument(
         "--rerun",
         type=Path,
@@ -90,7 +90,7 @@ def run(args: Namespace, screen: Screen) -> None:
     outputs = [args.out / name for name in (PAGE, CONTENT, SIMULATOR, MODEL)]
     how = options.begin(args, [*outputs, *args.rerun])
     servo = without_torque(recordings)
-    options.check_known_mass(args, torque=not servo)
+    options.check_servo(args, torque=not servo)
     if servo and args.baseline:
         raise HybridError("--baseline needs logs with torque; these have none")
     if servo:
@@ -189,7 +189,8 @@ def _diagnose_servos(
     from hybrid.servo import fit_servo
 
     with screen.working(f"fitting the servos of {robot.name}") as tell:
-        found = fit_servo(robot, recordings, known_mass=args.known_mass, progress=tell)
+        how_to = {"known_mass": args.known_mass, "gpu": args.gpu}
+        found = fit_servo(robot, recordings, **how_to, progress=tell)
     logs = [x for x in recordings if x.source in found.unseen] or list(recordings)
     replay = found.replayed(logs[0])
     with atomic_folder(args.out) as folder:

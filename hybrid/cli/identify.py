@@ -73,7 +73,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="give the links parameters of bodies that could be built",
     )
-    options.add_known_mass(parser)
+    options.add_servo(parser)
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     options.add_common(parser)
 
@@ -90,7 +90,7 @@ def run(args: Namespace, screen: Screen) -> None:
     effects = options.load_effects(args.effects, robot)
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
     servo = without_torque(recordings)
-    options.check_known_mass(args, torque=not servo)
+    options.check_servo(args, torque=not servo)
     if not servo and args.out.suffix != ".json":
         raise HybridError(f"{args.out}: a model is saved as .json")
     if servo and args.out.suffix.lower() not in (".xml", ".mjcf"):
@@ -101,9 +101,8 @@ def run(args: Namespace, screen: Screen) -> None:
     how = options.begin(args, [args.out])
     if servo:
         with screen.working(f"fitting the servos of {robot.name}") as tell:
-            found = fit_servo(
-                robot, recordings, known_mass=args.known_mass, progress=tell
-            )
+            how_to = {"known_mass": args.known_mass, "gpu": args.gpu}
+            found = fit_servo(robot, recordings, **how_to, progress=tell)
         _save_servos(found, args, how, screen)
         return
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):

@@ -32,7 +32,7 @@ from hybrid.robot.chain import Chain
 
 _LEAST_GAIN = 0.5  # no other reading of a right log reached 0.3
 _EQUAL_GAIN = 0.2  # difference of gain between readings that are equally good
-_FRICTION_ERROR = 0.003  # share of the variance that another friction law leaves
+_USUAL = 0.03  # share of the variance that friction and faults of a right log leave
 _SEVERITIES: dict[str, Severity] = {"any": "error", "file": "warning"}
 _FINALISTS = 6  # readings that are fitted with weighted joints
 _SHARED = (
@@ -72,8 +72,7 @@ class _Readings:
     def residual(self, reading: OtherReading, masses: str, rounds: int = 2) -> Array:
         """Share of each torque's variance that a fit leaves, shape (n,)."""
         columns = self.columns(reading, masses)
-        left = columns.residual(*reading.torque, rounds=rounds)
-        return np.maximum(left, _FRICTION_ERROR) if masses == "file" else left
+        return np.maximum(columns.residual(*reading.torque, rounds=rounds), _USUAL)
 
 
 def doubts_of_magnitude(
@@ -148,7 +147,7 @@ def _better_reading(
     improvable = [
         masses
         for masses, x in before.items()
-        if _gain(x, np.minimum(x, _FRICTION_ERROR)) > _LEAST_GAIN
+        if _gain(x, np.minimum(x, _USUAL)) > _LEAST_GAIN
     ]
     if not improvable:
         return None

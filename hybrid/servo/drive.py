@@ -9,7 +9,9 @@ the friction f:
 
 The servo ignores errors within a dead band; its goal moves by no more than a rad in the
 time of the pace; stops are at ``lower`` and ``upper``; a spring holds the joint; the
-link's mass is a multiple of the file's, and the axis may point the other way. Backlash
+link's mass is a multiple of the file's, and the axis may point the other way. A link is
+a ball about its centre of mass where it touches the ground, at a height of the centre
+that is to be found. Backlash
 between a stiff motor and an encoder on the link shows as a dead band: motion does not
 tell them apart.
 
@@ -81,6 +83,7 @@ QUANTITIES = (
     DriveQuantity("lower", "rad", "contact", 0.5, "", False),
     DriveQuantity("upper", "rad", "contact", 0.5, "", False),
     DriveQuantity("mass", "", "payload", 0.3, shared=True),
+    DriveQuantity("ground", "m", "contact", 0.2, "", False, shared=True),
     DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0),
 )
 NAMES = tuple(x.name for x in QUANTITIES)
@@ -162,6 +165,7 @@ class Drive:
             "lower": np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),
             "upper": np.where(np.isfinite(robot.q_max), robot.q_max, _FREE),
             "mass": np.ones(n),
+            "ground": -_reach(robot),
             "sign": np.ones(n),
         }
         known["stiction"] = np.zeros(n)
@@ -202,6 +206,21 @@ def known_masses(robot: Robot, known: Mapping[str, float]) -> Array:
     told = np.isfinite(ratio)
     usual = np.exp(np.log(ratio[told]).mean()) if told.any() else 1.0
     return np.where(told, ratio, usual)
+
+
+def _reach(robot: Robot) -> Array:
+    """How far links' centres of mass get from the base at most, shape (n,), [m]."""
+    chain = robot.chain
+    ends = np.nan_to_num([robot.q_min, robot.q_max], posinf=0.0, neginf=0.0)
+    slides = np.where(chain.revolute, 0.0, np.abs(ends).max(axis=0))
+    joints = np.cumsum(np.linalg.norm(chain.translation, axis=1) + slides)
+    return np.asarray(joints + np.linalg.norm(centres(robot), axis=1))
+
+
+def centres(robot: Robot) -> Array:
+    """Centre of mass of every link in its frame, shape (n, 3), [m]."""
+    inertial = robot.chain.inertial
+    return np.asarray(inertial[:, 1:4] / np.maximum(inertial[:, :1], 1e-12))
 
 
 def _usual(robot: Robot) -> Array:

@@ -18,8 +18,9 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
 from hybrid.servo.evidence import Explanation
+from hybrid.servo.model import heights
 from hybrid.servo.noise import resolution
-from hybrid.servo.problem import Estimate, Problem
+from hybrid.servo.problem import SHARED, Estimate, Problem
 from hybrid.servo.search import Search
 from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
@@ -43,6 +44,7 @@ def fit_servo(
     *,
     known_mass: Mapping[str, float] | None = None,
     without: Sequence[tuple[int, int]] = (),
+    gpu: bool = False,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ServoFit:
     """Fit the servos of an arm to logs of command and position.
@@ -56,17 +58,19 @@ def fit_servo(
         known_mass: Mass of the link that a joint moves, by the joint's name, [kg]. It
             sets the scale of all torques: without one that is the file's masses.
         without: Numbers known to be right: index of the quantity, and of the joint.
+        gpu: Replay on a GPU.
         progress: Is told what is done.
 
     Raises:
+        HybridError: A GPU is asked for, and none is there.
         RecordingError: A log has no command, or no joint moves.
         RobotError: A mass is known of a link that is not there.
     """
-    known = known_mass or {}
+    known, simulator = known_mass or {}, ServoSimulator(robot, gpu=gpu)
     prior = Drive.declared(robot).at(mass=known_masses(robot, known))
     struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
     learn, unseen = _split(stretches_of([x.in_order(robot.joints) for x in recordings]))
-    problem, start = _problem(robot, learn, prior)
+    problem, start = _problem(simulator, learn, prior)
     allowed = np.tile(~problem.resting, (len(NAMES), 1))
     for at in struck:
         allowed[at] = False
@@ -128,21 +132,29 @@ def _plain(problem: Problem, start: Array, allowed: NDArray[np.bool_]) -> Estima
 
 
 def _problem(
-    robot: Robot, logs: Sequence[Stretch], prior: Drive
+    simulator: ServoSimulator, logs: Sequence[Stretch], prior: Drive
 ) -> tuple[Problem, Array]:
     """Logs to be replayed, and coordinates from which a plain fit starts."""
-    floor = resolution(logs)
+    robot, floor = simulator.robot, resolution(logs)
     travel = np.array([np.ptp(x.q, axis=0) for x in logs]).max(axis=0)
     resting = travel < np.maximum(_STILL * np.sqrt(12.0) * floor, 1e-3)
     if resting.all():
         raise RecordingError("no joint moves; valid are logs of a moving arm")
     parts, guess = chosen(logs, _SECONDS, _EACH), first_guess(robot, logs, prior)
-    start = best_start(ServoSimulator(robot), parts, guess, prior)
+    start = best_start(simulator, parts, guess, prior)
     start = replace(start, values=np.where(resting, prior.values, start.values))
-    simulator = converged(robot, parts, start, floor)
+    simulator = converged(simulator, parts, start, floor)
     ends = [(x.q.min(axis=0), x.q.max(axis=0)) for x in logs]
     reached = np.array([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))])
-    return Problem(simulator, parts, prior, resting, reached), start.coordinates
+    touched = np.full(robot.size, np.nan)
+    if robot.chain.gravity.any():
+        low, asked = (
+            np.min([heights(robot, x).min(axis=0) for x in each], axis=0)
+            for each in ([x.q for x in logs], [x.command for x in logs])
+        )
+        touched = np.where(asked < low, low, np.nan)
+    problem = Problem(simulator, parts, prior, resting, reached, touched)
+    return problem, start.coordinates
 
 
 def _written(search: Search, best: Explanation) -> Explanation:
@@ -195,7 +207,7 @@ def _findings(
             interval=(low, high),
             probability=float(1.0 / (1.0 + np.exp(-best.losses[k, j]))),
             equivalents=tuple(QUANTITIES[i].effect for i in others),
-            worth=float((error - errors[0])[j]),
+            worth=float((error - errors[0])[slice(None) if SHARED[k] else j].max()),
         )
         findings.append(finding)
     return tuple(sorted(findings, key=lambda f: -f.worth))
@@ -207,7 +219,15 @@ def _unsaid(robot: Robot, drive: Drive, after: Array, written: Array) -> list[st
         f"{1000 * x:.1f} instead of {1000 * y:.1f}"
         for x, y in zip(written, after, strict=True)
     ]
-    return [
+    found = [
+        f"the written file has no ground: the link of {joint} touches one where its "
+        f"centre of mass is {height:.3f} m above the base"
+        for joint, height, none in zip(
+            robot.joints, drive["ground"], Drive.declared(robot)["ground"], strict=True
+        )
+        if height > none
+    ]
+    return found + [
         f"MJCF has no place for the {each.name.replace('_', ' ')} of {joint}, "
         f"{drive[each.name][j]:.3g} {each.unit}: replays of a written file miss by "
         f"{less[j]} mrad there"

@@ -8,7 +8,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot import Robot
-from hybrid.servo.drive import Drive
+from hybrid.servo.drive import Drive, centres
 from hybrid.servo.stretch import Stretch
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 # N·m/A and Ω: so small a constant that speed takes nothing off the torque at the limit.
 _CONSTANT, _RESISTANCE = 1e-3, 1.0
 _SOFT = 1e-6  # N·m/rad
+_BELOW = 1e-3  # m: the least radius of a ball about a centre of mass
 _CREEPS = 0.05  # rad/s: below, friction holds a joint
 
 
@@ -75,6 +76,61 @@ def _actuator(spec: Any, joint: str) -> Any:
     return spec.add_actuator(name=joint, trntype=kind, target=joint)
 
 
+def lay_ground(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Give an arm with weight a ground, lower than it reaches, and links a ball each.
+
+    The ball about a link's centre of mass is as large as the ground is far below the
+    height at which the centre is when the link touches: see :func:`install`.
+    """
+    import mujoco
+    from scipy.spatial.transform import Rotation
+
+    if not robot.chain.gravity.any():
+        return
+    up, kind = _up(robot), mujoco.mjtGeom
+    turn = Rotation.align_vectors([up], [[0.0, 0.0, 1.0]])[0]
+    how: dict[str, Any] = {"condim": 1, "contype": 0, "conaffinity": 1}
+    quat = turn.as_quat(scalar_first=True)
+    plane = {"type": kind.mjGEOM_PLANE, "pos": _level(robot) * up, "quat": quat}
+    spec.worldbody.add_geom(size=[1.0, 1.0, 1.0], **plane, **how)
+    how |= {"contype": 1, "conaffinity": 0, "mass": 0.0, "type": kind.mjGEOM_SPHERE}
+    for joint, centre in zip(robot.joints, centres(robot), strict=True):
+        spec.body(joint).add_geom(pos=centre, size=[_BELOW, 0.0, 0.0], **how)
+
+
+def _up(robot: Robot) -> Array:
+    gravity = robot.chain.gravity
+    return np.asarray(-gravity / max(float(np.linalg.norm(gravity)), 1e-12))
+
+
+def _level(robot: Robot) -> float:
+    """Height of the ground, [m]."""
+    return float(Drive.declared(robot)["ground"].min()) - _BELOW
+
+
+def heights(robot: Robot, q: Array) -> Array:
+    """Heights of links' centres of mass above the base, shape (N, n), [m].
+
+    Args:
+        robot: The arm.
+        q: Positions, shape (N, n), [rad].
+    """
+    from scipy.spatial.transform import Rotation
+
+    chain, up, out = robot.chain, _up(robot), []
+    turn, place = Rotation.identity(len(q)), np.zeros((len(q), 3))
+    for k, centre in enumerate(centres(robot)):
+        place = place + turn.apply(chain.translation[k])
+        turn = turn * Rotation.from_matrix(chain.rotation[k])
+        moved = q[:, k, None] * chain.axis[k]
+        if chain.revolute[k]:
+            turn = turn * Rotation.from_rotvec(moved)
+        else:
+            place = place + turn.apply(moved)
+        out.append((place + turn.apply(centre)) @ up)
+    return np.stack(out, axis=1)
+
+
 def install(model: Any, robot: Robot, drive: Drive) -> None:
     """Set the numbers of servos in a compiled model, joints in the order of the arm.
 
@@ -92,6 +148,9 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
     model.dof_armature[:] = drive["armature"]
     model.jnt_stiffness[:], model.qpos_spring[:] = springs(robot, drive)
     model.jnt_range[:] = stops(drive)
+    balls = np.maximum(drive["ground"] - _level(robot), _BELOW)
+    if model.ngeom:
+        model.geom_size[1:, 0] = model.geom_rbound[1:] = balls
     if (drive["mass"] != 1.0).any():
         import mujoco
 

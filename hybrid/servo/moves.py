@@ -18,6 +18,8 @@ from hybrid.servo.evidence import COST, Curvature
 from hybrid.servo.problem import SHARED, Estimate, Problem
 
 _LARGEST = 1.5  # of a probe's change
+_WHOLE = ("sign", "ground")  # that a part of the change tells nothing of
+_DEEPER = (0.0, 0.01, 0.02)  # m: links are no balls, and touch a little higher or lower
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ def _move(
     """What a number promises: errors change along the secant to its probe."""
     (k, j, delta), prior = change, problem.prior
     sign = QUANTITIES[k].name == "sign"
+    whole = QUANTITIES[k].name in _WHOLE
     mine = (about.places[:, 1] == j) | SHARED[k]
     others = mine & ~(about.places == (k, j)).all(axis=1)
     seen: slice | list[int] = slice(None) if SHARED[k] else [j]
@@ -104,7 +107,7 @@ def _move(
     away = (found.x - prior.coordinates)[k, j] / prior.spread[k, j]
     curve = secant[:, seen].ravel() @ weighed + unit**2 - cross @ rest[:, 1]
     pull = found.errors[:, seen].ravel() @ weighed + unit * away - cross @ rest[:, 0]
-    share = 1.0 if sign else float(np.clip(-pull / curve, 0.0, _LARGEST))
+    share = 1.0 if whole else float(np.clip(-pull / curve, 0.0, _LARGEST))
     gain = 0.5 * about.gradient[others] @ rest[:, 0] - about.fall(mine)
     gain -= pull * share + 0.5 * curve * share**2 + COST
     gain -= 0.0 if sign else 0.5 * np.log(max(curve / unit**2, 1.0))
@@ -140,6 +143,8 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
     ):
         beyond = (way * command).max(axis=0) > way * place
         out[name] = [np.where(beyond, place - x[NAMES.index(name)], 0.0)]
+    ground = problem.touched - x[NAMES.index("ground")]
+    out["ground"] = [np.nan_to_num(ground + far) for far in _DEEPER]
     out["mass"] = [0.3 * ones, -0.3 * ones]
     out["sign"] = [-2.0 * ones]
     return out

@@ -65,6 +65,8 @@ class Problem:
         prior: Numbers of the robot file.
         resting: Joints that no log moves, shape (n,).
         reached: Least and largest position in any log, shape (2, n), [rad].
+        touched: Least height in any log of links' centres of mass, if their command
+            went lower, else NaN, shape (n,), [m].
     """
 
     simulator: ServoSimulator
@@ -72,6 +74,7 @@ class Problem:
     prior: Drive
     resting: NDArray[np.bool_]
     reached: Array
+    touched: Array | float = np.nan
     _known: dict[bytes, Array] = field(default_factory=dict)
 
     def over(self, stretches: Sequence[Stretch]) -> Problem:

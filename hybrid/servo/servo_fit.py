@@ -33,8 +33,8 @@ class ServoFinding:
         interval: 95 % of the posterior.
         probability: That the file is wrong in this.
         equivalents: Effects at the same joint that replay these logs as well.
-        worth: Error of unseen replays of this joint that comes back with the file's
-            number, the others making up for it as far as they can, [rad].
+        worth: Error of unseen replays that comes back with the file's number, [rad]:
+            of this joint; of what moves several joints, at the one that it moves most.
     """
 
     effect: str

@@ -14,7 +14,14 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive
-from hybrid.servo.model import bristles, declared_spec, install, servo_spec, weight
+from hybrid.servo.model import (
+    bristles,
+    declared_spec,
+    install,
+    lay_ground,
+    servo_spec,
+    weight,
+)
 from hybrid.servo.stretch import Stretch
 
 _HALVINGS = 4  # of the step, at most
@@ -24,7 +31,7 @@ _STEP = 0.005  # s: at most, of the physics
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class Run:
     """A stretch and servos, ready to be replayed."""
 
     stretch: Stretch
@@ -41,12 +48,27 @@ class ServoSimulator:
     Args:
         robot: The arm.
         step: Longest step of the physics, [s].
+        gpu: Replay on a GPU, but for servos of the robot file.
+
+    Raises:
+        HybridError: A GPU is asked for, and none is there.
     """
 
-    def __init__(self, robot: Robot, step: float = _STEP) -> None:
-        self.robot, self._longest = robot, step
+    def __init__(self, robot: Robot, step: float = _STEP, *, gpu: bool = False) -> None:
+        self.robot, self._longest, self.roll = robot, step, rolled
+        if gpu:
+            from hybrid.servo.accelerated import GpuRollout, check_gpu
+
+            check_gpu()
+            self.roll = GpuRollout(robot)
         self._models: dict[tuple[float, bytes], Any] = {}
         self._weights: dict[tuple[Stretch, bytes], Array] = {}
+
+    def with_step(self, step: float) -> ServoSimulator:
+        """The same with another longest step, [s]."""
+        other = ServoSimulator(self.robot, step)
+        other.roll = self.roll
+        return other
 
     def replay(
         self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
@@ -60,17 +82,25 @@ class ServoSimulator:
         Returns:
             For each drive and each stretch positions, shape (N, n), [rad].
         """
+        runs = self.runs(stretches, drives)
+        roll = rolled if None in drives else self.roll
+        moved = [self._seen(*x) for x in zip(runs, roll(runs), strict=True)]
+        size = len(stretches)
+        return [moved[i : i + size] for i in range(0, len(moved), size)]
+
+    def runs(
+        self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
+    ) -> list[Run]:
+        """Every stretch with each of some servos, made ready."""
         runs = []
         for drive in drives:
             models: dict[float, Any] = {}  # one for all stretches of a step
             runs += [self._run(drive, stretch, models) for stretch in stretches]
-        moved = [self._seen(*x) for x in zip(runs, _rolled(runs), strict=True)]
-        size = len(stretches)
-        return [moved[i : i + size] for i in range(0, len(moved), size)]
+        return runs
 
     def _run(
         self, drive: Drive | None, stretch: Stretch, models: dict[float, Any]
-    ) -> _Run:
+    ) -> Run:
         """One stretch made ready."""
         parts = max(1, int(np.ceil(stretch.step / self._longest)))
         step, none = round(stretch.step / parts, 9), np.zeros(self.robot.size)
@@ -82,13 +112,12 @@ class ServoSimulator:
         )
         control = delayed(slowed(stretch, pace), late, parts)
         state = self._state(models[step], drive, stretch, control[0])
-        return _Run(stretch, parts, models[step], state, control, dead)
+        return Run(stretch, parts, models[step], state, control, dead)
 
-    def _seen(self, run: _Run, states: Array) -> Array:
+    def _seen(self, run: Run, moved: Array) -> Array:
         """Positions at the times of the log, shape (N, n), [rad]."""
-        stretch, n = run.stretch, self.robot.size
-        after = states[run.parts - 1 : len(run.control) : run.parts, 1 : 1 + n]
-        return np.vstack([stretch.q[:1], after])
+        after = moved[run.parts - 1 : len(run.control) : run.parts]
+        return np.vstack([run.stretch.q[:1], after])
 
     def _model(self, drive: Drive | None, step: float) -> Any:
         key = step, _turned(drive)
@@ -103,16 +132,13 @@ class ServoSimulator:
         return model
 
     def _compiled(self, drive: Drive | None, step: float) -> Any:
-        import mujoco
-
-        spec = (
-            declared_spec(self.robot)
-            if drive is None
-            else servo_spec(self.robot, drive["zero"], drive["sign"])
-        )
+        if drive is None:
+            spec = declared_spec(self.robot)
+        else:
+            spec = servo_spec(self.robot, drive["zero"], drive["sign"])
+            lay_ground(spec, self.robot)
         model = spec.compile()
         model.opt.timestep = step
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         return model
 
     def _state(
@@ -136,8 +162,12 @@ def _turned(drive: Drive | None) -> bytes:
     return b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
 
 
-def _rolled(runs: Sequence[_Run]) -> Array:
-    """States after every step, (batch, steps, size)."""
+def rolled(runs: Sequence[Run]) -> Array:
+    """Positions after every step, shape (batch, steps, n), [rad].
+
+    Args:
+        runs: Stretches and servos.
+    """
     import mujoco
     from mujoco import rollout
 
@@ -156,7 +186,7 @@ def _rolled(runs: Sequence[_Run]) -> Array:
             found, _ = rollout.rollout(own, data, states[plain], control[plain])
             out[plain] = found
         if not len(zoned):
-            return out
+            return out[..., 1 : 1 + n]
         # MuJoCo's servo has no dead band: its goal is moved at every step instead.
         own, state, most = (
             [runs[i].model for i in zoned],
@@ -172,7 +202,7 @@ def _rolled(runs: Sequence[_Run]) -> Array:
                     own, data, state, goal, nstep=1, state=after, skip_checks=True
                 )
                 state = out[zoned, k] = after[:, 0].copy()
-    return out
+    return out[..., 1 : 1 + n]
 
 
 @contextmanager
@@ -189,12 +219,15 @@ def _quiet() -> Iterator[None]:
 
 
 def converged(
-    robot: Robot, stretches: Sequence[Stretch], drive: Drive, floor: Array
+    simulator: ServoSimulator,
+    stretches: Sequence[Stretch],
+    drive: Drive,
+    floor: Array,
 ) -> ServoSimulator:
     """Replays with the longest step that is fine enough.
 
     Args:
-        robot: The arm.
+        simulator: Replays with some step.
         stretches: What is replayed.
         drive: Servos like those that are sought.
         floor: What a replay may be off by, shape (n,), [rad]; or by as little of what
@@ -204,15 +237,15 @@ def converged(
     measured = np.concatenate([x.q for x in stretches])
     before: Array | None = None
     for step in steps:
-        (moved,) = ServoSimulator(robot, step).replay(stretches, [drive])
+        (moved,) = simulator.with_step(step).replay(stretches, [drive])
         after = np.concatenate(moved)
         if before is not None:
             off = np.sqrt(np.mean((after - before) ** 2, axis=0))
             miss = np.sqrt(np.mean((after - measured) ** 2, axis=0))
             if (off <= np.maximum(floor, _FINE * miss)).all():
-                return ServoSimulator(robot, 2 * step)
+                return simulator.with_step(2 * step)
         before = after
-    return ServoSimulator(robot, steps[-1])
+    return simulator.with_step(steps[-1])
 
 
 def missed(

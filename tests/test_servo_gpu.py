@@ -1,0 +1,83 @@
+"""Replays where JAX computes: those of MuJoCo's C, or one clear line."""
+
+import numpy as np
+import pytest
+
+from hybrid.cli import main
+from hybrid.errors import HybridError
+from hybrid.recording import Recording, write
+from hybrid.robot import Robot
+from hybrid.servo.drive import Drive
+from hybrid.servo.simulator import ServoSimulator
+from hybrid.servo.stretch import Stretch
+
+LINK = """<body name="{name}" pos="0 0 0.11"><joint name="{name}" axis="{axis}"
+  range="-1.9 1.9" damping="0.6" frictionloss="0.05" armature="0.028"/>
+  <inertial pos="0 0.01 0.05" mass="0.1" diaginertia="1e-4 9e-5 3e-5"/>{next}</body>"""
+AXES = {"pan": "0 0 1", "lift": "0 1 0", "elbow": "0 1 0"}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """An arm of light links behind strong servos."""
+    links, servos = "", ""
+    for name, axis in reversed(AXES.items()):
+        links = LINK.format(name=name, axis=axis, next=links)
+        servos += f'<position joint="{name}" kp="900" kv="2.7" forcerange="-3 3"/>'
+    path = tmp_path_factory.mktemp("gpu") / "arm.xml"
+    path.write_text(
+        f'<mujoco><compiler angle="radian"/><worldbody>{links}</worldbody>'
+        f"<actuator>{servos}</actuator></mujoco>"
+    )
+    return path
+
+
+def stretch(samples: int) -> Stretch:
+    """Tones and a step at 50 Hz."""
+    t = 0.02 * np.arange(samples)[:, None]
+    goal = np.array([0.4, 1.2, 0.5]) + 0.6 * np.sin(t * np.array([2.0, 3.1, 4.3]))
+    goal[samples // 2 :] += 0.2
+    return Stretch(0.02, goal, goal, np.zeros(3))
+
+
+def test_replays_by_mjx_are_those_of_mujoco(path, monkeypatch):
+    pytest.importorskip("jax")
+    pytest.importorskip("mujoco.mjx")
+    from hybrid.servo import accelerated
+
+    monkeypatch.setattr(accelerated, "_STEPS", 128)
+    monkeypatch.setattr(accelerated, "_LEAST", 32)
+    robot, parts = Robot.load(path), [stretch(76), stretch(50)]
+    file = Drive.declared(robot)
+    usual = file.at(
+        stiffness=12.0, damping=0.8, coulomb=0.2, armature=0.02, delay=0.013
+    )
+    changed = (
+        {}, {"dead_band": 0.02}, {"stall": 0.3}, {"stiction": 0.15}, {"mass": 1.5},
+        {"spring": 2.0, "offset": 0.1}, {"upper": 0.8}, {"sign": -1.0, "zero": 0.1},
+        {"ground": np.array([-1.0, -1.0, 0.2])},
+    )  # fmt: skip
+    drives = [usual.at(**x) for x in changed]
+    simulator = ServoSimulator(robot)
+    exact = simulator.replay(parts, drives)
+    simulator.roll = accelerated.GpuRollout(robot)
+    found = simulator.replay(parts, drives)
+    moved = [np.concatenate(x) for x in exact]
+    assert all(np.abs(x - moved[0]).max() > 1e-3 for x in moved[1:])  # all of them act
+    for x, y in zip(moved, map(np.concatenate, found), strict=True):
+        assert np.sqrt(np.mean((x - y) ** 2, axis=0)).max() < 1e-6
+
+
+def test_without_jax_one_line_says_what_to_install(path, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("hybrid.extras.find_spec", lambda _: None)
+    with pytest.raises(HybridError, match="hybrid-arm\\[gpu\\]"):
+        ServoSimulator(Robot.load(path), gpu=True)
+    part, out = stretch(150), tmp_path / "fixed.xml"
+    t = part.step * np.arange(len(part.q))
+    log = Recording(t, part.q, command=part.command, joints=tuple(AXES), source="a")
+    write(log, tmp_path / "a.csv")
+    asked = ["--robot", str(path), "--recordings", str(tmp_path / "a.csv"), "--gpu"]
+    assert main(["identify", *asked, "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "pip install 'hybrid-arm[gpu]'" in said and len(said.splitlines()) == 1
+    assert not out.exists()
