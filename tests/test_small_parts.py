@@ -19,11 +19,13 @@ from hybrid.dynamics.pseudo_inertia import (
 )
 from hybrid.effects import JointState
 from hybrid.effects.threshold_friction import ThresholdFriction
+from hybrid.errors import HybridWarning
 from hybrid.excitation import multisine
 from hybrid.excitation.clearance import ends_in_world
 from hybrid.identification.data import Rest
 from hybrid.identification.friction import _Grid
 from hybrid.identification.remainder import _candidates, _most_telling
+from hybrid.plant import Plant, random_fourier
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import limits
 from hybrid.regression.least_squares import _bounded_solve
@@ -265,3 +267,12 @@ def test_noise_that_joints_share_is_the_same_at_each():
     assert found["tau"][:, 0].std() == pytest.approx(1.0, rel=0.05)
     for name in ("q", "v"):
         np.testing.assert_array_equal(found[name], zero + signals[name])
+
+
+def test_a_drive_that_is_often_at_its_limit_is_named():
+    robot = replace(pendulum(2), tau_max=np.array([60.0, 0.5]))
+    reference = random_fourier(robot, duration=2.0, rate=100.0, order=3, seed=0)
+    with pytest.warns(HybridWarning) as said:
+        Plant(robot, []).run([reference], seed=np.random.default_rng(0))
+    texts = [str(x.message) for x in said if "at its torque limit" in str(x.message)]
+    assert [x.split("'")[1] for x in texts] == ["hinge_1"]

@@ -212,7 +212,7 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
     total = products.total if sums is None else sums
     torque = np.array(products.problem.offsets[1:]) - 1
     power = np.diag(total)[torque] / np.diag(freedom)
-    floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max(initial=1e-300))
+    floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
     if not full:
         return np.asarray(np.diag(np.clip(np.diag(sigma), 0.0, None) + floor))
     # Joints stand at different times: the pairwise covariance may not be positive.
