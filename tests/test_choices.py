@@ -5,8 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.io
 from pendulum import pendulum, swings
 
+from hybrid import read_recordings
 from hybrid.diagnosis.evidence.noise import autocovariance
 from hybrid.diagnosis.gap.split import between, split
 from hybrid.dynamics import regressor
@@ -230,3 +232,18 @@ def test_a_program_reads_an_encoder_as_the_model_does():
 def plain_rigid(robot, motion):
     columns = regressor(robot.chain, motion.q, motion.v, motion.a)
     return columns @ robot.chain.inertial.ravel()
+
+
+# --- names within a file --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("label", ["joints", "joint_names"])
+def test_names_in_a_matlab_file_are_of_its_columns(tmp_path, label):
+    t = np.arange(200) / 100.0
+    q = np.stack([np.sin(t), np.cos(3 * t)], axis=1)
+    names = np.array(["b", "a"], dtype=object)
+    content = {"t": t, "q": q, "tau": 5.0 * q, label: names}
+    scipy.io.savemat(tmp_path / "log.mat", content)
+    (found,) = read_recordings(tmp_path / "log.mat", joints=("a", "b"))
+    np.testing.assert_allclose(found.q, q[:, ::-1], atol=1e-12)
+    np.testing.assert_allclose(found.tau, 5.0 * found.q, atol=1e-12)
