@@ -128,6 +128,11 @@ def imports(
             yield from imports(child, typing, lazy or deep)
 
 
+@cache
+def imports_of(source: Source) -> tuple[Import, ...]:
+    return tuple(imports(source.tree))
+
+
 def within(name: str, place: str) -> bool:
     return name == place or name.startswith(place + ".")
 
@@ -144,7 +149,7 @@ def test_every_module_stands_on_a_floor():
 def test_imports_point_down_only():
     wrong = []
     for source in sources():
-        for i in imports(source.tree):
+        for i in imports_of(source):
             top, _, rest = i.module.partition(".")
             target = rest.partition(".")[0]
             if i.module.startswith("."):
@@ -166,7 +171,7 @@ def test_imports_run_in_no_circle_lazily_closed_or_not():
     for source in sources():
         names = [
             i.module.removeprefix("hybrid.")
-            for i in imports(source.tree)
+            for i in imports_of(source)
             if i.module.startswith("hybrid.") and not i.typing
         ]
         names = [n if n in named else n.rpartition(".")[0] for n in names]
@@ -182,7 +187,7 @@ def test_effects_know_no_robot_plant_or_fit():
         f"{source.at(i.line)} imports {i.module}"
         for source in sources()
         if source.floor == "effects"
-        for i in imports(source.tree)
+        for i in imports_of(source)
         if any(
             within(i.module, f"hybrid.{x}")
             for x in ("robot", "plant", "identification")
@@ -197,7 +202,7 @@ def test_libraries_stay_at_home(library):
     wrong = [
         f"{source.at(i.line)} imports {i.module}"
         for source in sources()
-        for i in imports(source.tree)
+        for i in imports_of(source)
         if library in i.module.split(".") and not i.module.startswith("hybrid")
         if not i.typing and not any(within(source.name, home) for home in homes)
     ]
@@ -216,7 +221,7 @@ def test_torch_loads_with_a_torch_module_and_not_before():
         if not any(base.endswith("Module") for base in bases):
             wrong += [
                 source.at(i.line)
-                for i in imports(source.tree)
+                for i in imports_of(source)
                 if "torch" in i.module.split(".") and not (i.typing or i.lazy)
             ]
     check(wrong, "Import torch inside the function that needs it:")
@@ -226,7 +231,7 @@ def test_nobody_touches_the_global_state_of_pyplot():
     wrong = [
         source.at(i.line)
         for source in sources()
-        for i in imports(source.tree)
+        for i in imports_of(source)
         if i.module.startswith("matplotlib.pyplot")
     ]
     check(wrong, "Draw on a matplotlib.figure.Figure of your own:")
@@ -248,7 +253,7 @@ def test_no_code_comes_out_of_a_data_file():
     for source in sources():
         wrong += [
             f"{source.at(i.line)} imports {i.module}"
-            for i in imports(source.tree)
+            for i in imports_of(source)
             if i.module.partition(".")[0] in CODE_FROM_DATA
         ]
         for node in ast.walk(source.tree):

@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pendulum import RATE, pendulum, swings, with_torque
-from scipy.optimize import lsq_linear
 
-from hybrid.dynamics.pseudo_inertia import inertial_from_pseudo, pseudo_inertia
 from hybrid.effects import JointState
 from hybrid.effects.coulomb import Coulomb
 from hybrid.identification.consistency import physically_consistent
@@ -23,10 +21,10 @@ from hybrid.identification.preparation import (
     prepare_at_best_cutoff,
     summed_squares,
 )
-from hybrid.identification.remainder import _best_inputs, _candidates
+from hybrid.identification.remainder import _candidates
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import accumulate
-from hybrid.regression.least_squares import _bounded_solve, pseudo_solve
+from hybrid.regression.least_squares import pseudo_solve
 from hybrid.regression.prior import link_std
 from hybrid.regression.problem import build_problem
 
@@ -221,24 +219,6 @@ def test_a_joint_is_offered_its_own_state_and_that_of_its_neighbours():
     assert _candidates(1, 2)[2] == ((1,), (0, 1))
 
 
-@pytest.mark.parametrize(
-    ("law", "inputs"),
-    [
-        (lambda q, v: np.sin(4 * q[:, 0]) * q[:, 1], ((0, 1), (1,))),
-        (lambda q, v: np.sin(v[:, 0]) * v[:, 1], ((1,), (0, 1))),
-        (lambda q, v: 0 * v[:, 1], None),
-    ],
-)
-def test_the_inputs_of_a_remainder_are_those_it_depends_on(law, inputs):
-    known, rng = data(seconds=8.0), np.random.default_rng(0)
-    residual = []
-    for m in known.motions:
-        x = np.zeros_like(m.q)
-        x[:, 1] = law(m.q, m.v) + 0.05 * rng.standard_normal(len(x))
-        residual.append(x)
-    assert _best_inputs(known.decimated(residual), 1, _candidates(1, 2)) == inputs
-
-
 def test_links_do_not_depend_on_the_units_that_data_are_weighed_in():
     robot = pendulum(2)
     problem = build_problem(robot.chain, [])
@@ -274,36 +254,6 @@ def test_the_cutoff_is_halved_where_torque_is_noisy_and_kept_where_not(noise):
     halvings = np.log2(first / found)
     assert halvings == pytest.approx(round(halvings)) and 0 <= halvings <= 3
     assert found >= 3.0 * 4 / 12.0 and first <= RATE / 2
-
-
-@given(seed=seeds)
-@settings(max_examples=20)
-def test_the_pseudo_inertia_of_points_is_their_second_moment(seed):
-    rng = np.random.default_rng(seed)
-    mass, at = rng.uniform(0.1, 2.0, 5), rng.standard_normal((5, 3))
-    one = np.column_stack([at, np.ones(5)])
-    J = (mass[:, None] * one).T @ one
-    found = inertial_from_pseudo(J)
-    assert found[0] == pytest.approx(mass.sum())
-    np.testing.assert_allclose(found[1:4], mass @ at)
-    x, y, z = at.T
-    about = [y**2 + z**2, -x * y, x**2 + z**2, -x * z, -y * z, x**2 + y**2]
-    np.testing.assert_allclose(found[4:], np.array(about) @ mass, atol=1e-12)
-    np.testing.assert_allclose(pseudo_inertia(found), J, atol=1e-12)
-
-
-@given(seed=seeds)
-@example(seed=365)  # all are at their bounds
-@settings(max_examples=30)
-def test_bounded_least_squares_is_that_of_scipy(seed):
-    rng = np.random.default_rng(seed)
-    X, y = rng.standard_normal((12, 4)), rng.standard_normal(12)
-    lower = np.where(rng.random(4) < 0.7, 0.0, -np.inf)
-    bounds = (lower, np.full(4, np.inf))
-    expected = lsq_linear(X, y, bounds=bounds, tol=1e-14).x
-    found = _bounded_solve(X.T @ X, X.T @ y, lower)
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-    assert (found >= lower).all()
 
 
 @pytest.mark.parametrize("seconds", [20.0, 300.0])

@@ -174,7 +174,7 @@ def test_a_log_that_is_right_passes_without_a_word(name, kind):
 )
 @pytest.mark.parametrize("name", ["scara", "coman_like"])
 def test_a_fault_of_the_arm_is_no_fault_of_the_log(name, effect):
-    x = healthy(robot(name), effects=[effect(robot(name))], seed=5)
+    x = healthy(robot(name), effects=[effect(robot(name))], seed=5, duration=5.0)
     assert [d.line for d in inspect_recording(x, robot(name)).doubts] == []
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.errors import HybridWarning
@@ -204,11 +205,7 @@ def frames(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
         R = R @ chain.rotation[k]
         axis = R @ chain.axis[k]
         if chain.revolute[k]:
-            x, y, z = chain.axis[k]
-            skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-            sine, cosine = np.sin(q[:, k]), 1 - np.cos(q[:, k])
-            turn = np.eye(3) + sine[:, None, None] * skew
-            R = R @ (turn + cosine[:, None, None] * (skew @ skew))
+            R = R @ Rotation.from_rotvec(q[:, k, None] * chain.axis[k]).as_matrix()
         else:
             p = p + axis * q[:, k, None]
         for items, x in zip(out, (R, p, axis), strict=True):

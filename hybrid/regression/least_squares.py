@@ -210,7 +210,7 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
     # A difference of cross-products is uncertain by their rounding errors.
     torque = np.array(products.problem.offsets[1:]) - 1
     power = np.diag(sums)[torque] / np.diag(freedom)
-    floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max(initial=1e-300))
+    floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
     if not full:
         return np.asarray(np.diag(np.clip(np.diag(sigma), 0.0, None) + floor))
     # Joints stand at different times, so the pairwise covariance may be indefinite.
