@@ -1,6 +1,7 @@
 """``hybrid diagnose``: the verdict, the folder, and nothing half-written."""
 
 import json
+import re
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from importlib import import_module
@@ -86,7 +87,7 @@ def answered(logs, tmp_path_factory) -> SimpleNamespace:
     def working(self, text):
         shown.append(text)
         with whole(self, text) as tell:
-            yield lambda text: (shown.append(text), tell(text))
+            yield lambda text, *done: (shown.append(text), tell(text, *done))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Screen, "working", working)
@@ -106,7 +107,8 @@ def answered(logs, tmp_path_factory) -> SimpleNamespace:
 
 def test_it_names_the_cause_in_ten_lines_and_in_a_folder(answered):
     tmp_path = answered.folder
-    assert answered.err == ""  # no spinner where nobody looks
+    steps = answered.err.splitlines()  # where nobody looks, a line for each long one
+    assert all(re.fullmatch(r"\d+ s: \w.*", x) for x in steps)
     *verdict, report, simulator = answered.out.splitlines()
     assert len(verdict) <= 10
     assert verdict[0].startswith("Explained: one effect accounts for")
@@ -241,6 +243,24 @@ def test_progress_is_told_step_by_step(answered):
     assert answered.shown[:2] == ["reading recordings", "diagnosing planar"]
     assert answered.shown[-1] == "writing the report"
     assert len(answered.shown) > 4
+
+
+def test_a_file_has_a_line_for_each_step_that_takes_its_time(monkeypatch):
+    clock = iter([0.0, 0.5, 10.0, 10.2, 20.0, 30.0])
+    monkeypatch.setattr("hybrid.cli.screen.monotonic", lambda: next(clock))
+    screen, target = Screen(), StringIO()
+    screen._err = Console(file=target, width=80)
+    with screen.working("at first") as tell:
+        tell("too short")
+        tell("a quarter", 0.25)
+        tell("too short again", 0.3)
+        tell("half", 0.5)
+        tell("who knows")
+    assert target.getvalue().splitlines() == [
+        "10 s: a quarter (about 30 s left)",
+        "20 s: half (about 20 s left)",
+        "30 s: who knows (about 30 s left)",
+    ]
 
 
 def test_a_terminal_shows_what_is_being_done():

@@ -125,7 +125,7 @@ def _diagnose_torque(
         )
         rng = np.random.default_rng(args.seed)
         result = with_motion_gap(result, rng, progress=tell)
-        tell("writing the report")
+        tell("writing the report", 0.95)
         with atomic_folder(args.out) as folder:
             advice = advise(result, rng, directory=folder)
             diagnosis = replace(result.diagnosis, advice=advice, provenance=how)

@@ -75,7 +75,7 @@ class Screen:
 
         description = TextColumn("{task.description}", markup=False)
         is_terminal, start = self._err.is_terminal, monotonic()
-        last = start
+        last, behind = start, 0.0
         with Bar(
             SpinnerColumn(),
             description,
@@ -87,9 +87,9 @@ class Screen:
             task = bar.add_task(text, total=None)
 
             def tell(text: str, done: float | None = None, /) -> None:
-                nonlocal last
-                now = monotonic()
-                text += _left(now - start, done)
+                nonlocal last, behind
+                now, behind = monotonic(), behind if done is None else done
+                text += _left(now - start, behind)
                 if is_terminal:
                     bar.update(task, description=text)
                 elif now - last > _SHORT:
@@ -117,9 +117,9 @@ class Screen:
             yield
 
 
-def _left(elapsed: float, done: float | None) -> str:
+def _left(elapsed: float, done: float) -> str:
     """How long the rest of the work takes, if it goes on as it began."""
-    if done is None or not _GUESSED <= done < 1.0:
+    if not _GUESSED <= done < 1.0:
         return ""
     return f" (about {elapsed * (1.0 - done) / done:.0f} s left)"
 

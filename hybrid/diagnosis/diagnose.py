@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -37,12 +37,11 @@ from hybrid.diagnosis.gap.usability import too_little_motion, wrong_simulator
 from hybrid.effects.delay import Delay
 from hybrid.identification.preparation import checked_logs
 from hybrid.model import DynamicModel
+from hybrid.progress import Progress, silent
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 from hybrid.threads import one_thread
-
-Progress = Callable[[str], None]
 
 _EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
 _PROBABLE = 0.5  # probability of a cause that is named
@@ -115,20 +114,20 @@ def examine(
     progress: Progress | None = None,
 ) -> Result:
     """:func:`diagnose` without replay and advice, with all intermediate results."""
-    tell, rng = progress or (lambda _: None), np.random.default_rng(seed)
-    tell("measuring the gap")
+    tell, rng = progress or silent, np.random.default_rng(seed)
+    tell("measuring the gap", 0.0)
     case = _Case.of(robot, recordings, cutoff, without)
     result = _explained(case, tell, rng)
     if result.diagnosis.verdict == "not_excited":
         return result
-    tell("finding where the gap lies")
+    tell("finding where the gap lies", 0.65)
     floor = np.array(result.diagnosis.noise_floor)
     where = locate(case.as_logged, floor, rng)
     diagnosis = replace(result.diagnosis, where=where)
     # Without the torque of a healthy model a log does not show the servo.
     if case.doubts or case.healthy:
         return replace(result, diagnosis=diagnosis)
-    tell("asking whether torque follows the command")
+    tell("asking whether torque follows the command", 0.7)
     distorted = {j for e in result.effects if e.reports for j in e.joints}
     link = command_link(
         case.gap, case.recordings, rng, without=case.without, distorted=distorted
@@ -191,10 +190,11 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     gap, logged, doubts = case.gap, case.logged, list(case.doubts)
     # A delay of all torque is corrected already.
     late = [Delay.id] if logged.clocks else []
+    tell("trying every effect at every joint", 0.1)
     search = Search(gap, split(gap), without=[*case.without, *late])
     if not doubts:
-        tell("looking for the most probable explanation")
-        search.run()
+        tell("looking for the most probable explanation", 0.45)
+        search.run(tell)
     reached = account(search).ceiling
     named, alike = _drop_improbable(search, doubts)
     found, far = account(search, reached), search.doubtful_joints(search.causes)
@@ -202,7 +202,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         doubts.append(_DOUBTFUL.format(", ".join(gap.robot.joints[j] for j in far)))
     search.substitute_unknown_laws()
     kinds = [named.get(c, ()) for c in search.known]
-    tell("scoring on unseen motions")
+    tell("scoring on unseen motions", 0.6)
     scored, effects = explain(search), refit(search)
     shown, left = unseen(search, found), left_unseen(scored, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)

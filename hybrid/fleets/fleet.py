@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from hybrid.fleets.scatter import Scatter, calibrated_std, moderated
 from hybrid.fleets.series import Series, State
 from hybrid.fleets.store import Store, run_plan, write_rows
 from hybrid.fleets.worker import FINDING, OK, VERDICT
+from hybrid.progress import Progress, silent
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def fleet(
     *,
     scheduler: str | None = None,
     workers: int | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Fleet:
     """Inspect, identify and compare all arms of a plan over time.
 
@@ -84,7 +85,7 @@ def fleet(
     out = Path(out)
     with connected(scheduler, workers or os.cpu_count() or 1) as client:
         store = Store(out / "units")
-        rows = run_plan(plan, store, client, progress or (lambda _: None))
+        rows = run_plan(plan, store, client, progress or silent)
     write_rows(out / "fleet.parquet", rows)
     return fleet_from_rows(plan, rows)
 

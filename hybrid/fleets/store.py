@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,11 +16,11 @@ from hybrid.files import atomic_path, read_json, write_json
 from hybrid.fleets.plan import FIRST, ArmPlan, Logs, Plan, Unit, opened, periods
 from hybrid.fleets.run import answers
 from hybrid.fleets.worker import LATE, LOST, REFUSED, VERDICT
+from hybrid.progress import Progress
 
 if TYPE_CHECKING:
     from distributed import Client
 
-Progress = Callable[[str], None]
 
 _TEXT = ("arm", "period", "day", "joint", "parameter", "unit", "status", "reason")
 _NUMBERS = (
@@ -99,7 +99,7 @@ def run_plan(
             found += rows
     answered = answers(client, iter(todo), plan.time_limit)
     for done, (unit, content) in enumerate(answered, 1):
-        progress(f"{done:,} of {len(todo):,} periods")
+        progress(f"{done:,} of {len(todo):,} periods", done / len(todo))
         failed = content.get("failed", "")
         rows = (
             _failed(unit, failed, content["reason"])
@@ -185,7 +185,7 @@ def _baselines(
             found[arm.name] = _baseline_from(unit.key, content)
     answered = answers(client, iter(todo), plan.time_limit)
     for done, (unit, content) in enumerate(answered, 1):
-        progress(f"{done:,} of {len(todo):,} baselines")
+        progress(f"{done:,} of {len(todo):,} baselines", done / len(todo))
         if "failed" not in content:
             store.put_baseline(unit.key, content)
         found[unit.arm] = _baseline_from(unit.key, content)

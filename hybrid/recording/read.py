@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import glob
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from hybrid.errors import HybridWarning, RecordingError
+from hybrid.progress import Progress
 from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
 from hybrid.recording.formats.parquet import table_of_frame
 from hybrid.recording.formats.ros import read_ros
@@ -42,7 +43,7 @@ def read_all(
     joints: tuple[str, ...] | None = None,
     map: Map = None,
     torque: bool = True,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Recording]:
     """Read all recordings of files, folders and globs.
 
@@ -116,9 +117,7 @@ def recording_from_table(
     return recording_of(tables, joints=joints, map=map, torque=torque)
 
 
-def _logs(
-    path: Path, progress: Callable[[str], None] | None
-) -> Iterable[tuple[LogTable, ...]]:
+def _logs(path: Path, progress: Progress | None) -> Iterable[tuple[LogTable, ...]]:
     """Tables of each recording of a file or folder."""
     kind = kind_of(path)
     if kind is None:

@@ -6,7 +6,7 @@ file is wrong with probability 1/(1 + e^−l), where l is the evidence lost with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
+from hybrid.progress import Progress, silent
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
@@ -45,7 +46,7 @@ def fit_servo(
     known_mass: Mapping[str, float] | None = None,
     without: Sequence[tuple[int, int]] = (),
     gpu: bool = False,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = silent,
 ) -> ServoFit:
     """Fit the servos of an arm to logs of command and position.
 

@@ -11,13 +11,14 @@ makes the other parts less probable than by any explanation met before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+from hybrid.progress import Progress, silent
 from hybrid.servo.drive import NAMES
 from hybrid.servo.evidence import COST, Curvature, Explanation, evidence
 from hybrid.servo.moves import Move, probed, promising
@@ -56,7 +57,7 @@ class Search:
         plain: Estimate,
         aside: Problem | None,
         allowed: NDArray[np.bool_],
-        progress: Callable[[str], None] = lambda _: None,
+        progress: Progress = silent,
     ) -> None:
         self.problem, self.aside, self.progress = problem, aside, progress
         self.plain = Explanation(plain, plain.free)

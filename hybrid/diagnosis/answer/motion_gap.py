@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.gap.units import units
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
+from hybrid.progress import Progress
 
 _DIVERGED = 1.0  # rad; a larger motion error has no meaning
 _STEP_ERROR = 0.1  # of the motion error without findings
@@ -38,7 +39,7 @@ def with_motion_gap(
     result: Result,
     rng: np.random.Generator,
     *,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Result:
     """Add the gap in motion to each finding.
 
@@ -48,7 +49,7 @@ def with_motion_gap(
     if not result.effects:
         return result
     if progress:
-        progress("replaying the simulator")
+        progress("replaying the simulator", 0.8)
     try:
         diagnosis = _in_motion(result, Replay(result.scored), rng)
     except HybridError as error:

@@ -22,6 +22,7 @@ from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposals import Proposals
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.progress import Progress, silent
 
 _ROUNDS = 4  # of additions and exchanges
 _FEW = 3  # causes; an explanation with more is compared with the usual effects
@@ -49,6 +50,7 @@ class Search(Proposals):
         self.whole: list[Cause] = []
         self._checked: dict[Cause, frozenset[object]] = {}
         self._file_errors = self.prior.file_errors  # that are tried
+        self._progress: Progress = silent
 
     @property
     def known(self) -> list[Cause]:
@@ -87,8 +89,13 @@ class Search(Proposals):
         effect_id, joints = found.place
         return effect_id, self.gap.robot.joints[joints[-1]]
 
-    def run(self) -> list[Cause]:
-        """Find the most probable explanation whose causes help on test samples."""
+    def run(self, progress: Progress = silent) -> list[Cause]:
+        """Find the most probable explanation whose causes help on test samples.
+
+        Args:
+            progress: Called with each cause that is added.
+        """
+        self._progress = progress
         self._converge()
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._restart()
@@ -227,6 +234,9 @@ class Search(Proposals):
             causes = [*self.causes, found.make()]
             if self.score(causes) > now + _BETTER and self._is_cross_validated(causes):
                 self.causes = causes
+                kind, joints = found.place
+                joint = self.gap.robot.joints[joints[-1]]
+                self._progress(f"cause {len(causes)}: {kind} at {joint}")
                 self._remove()
                 return self.score(self.causes) > now + _BETTER
         return False

@@ -8,13 +8,14 @@ header, or that of the recorder if headers have none.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.files import read_yaml
 from hybrid.names import printable
+from hybrid.progress import Progress
 from hybrid.recording.formats.topic import Topic
 from hybrid.recording.table import LogTable, NoJointsError, as_recording_error
 
@@ -36,7 +37,7 @@ def is_bag(folder: Path) -> bool:
 
 
 def read_ros(
-    path: Path, progress: Callable[[str], None] | None = None
+    path: Path, progress: Progress | None = None
 ) -> Iterator[tuple[LogTable, ...]]:
     """Read the topics of a bag that have lists of real numbers."""
     from rosbags import rosbag1, rosbag2
@@ -133,7 +134,7 @@ def _fill(reader: Any, topics: dict[Any, Topic], name: str, progress: Any) -> No
     for k, (c, stamp, raw) in enumerate(reader.messages(connections=wanted)):
         topics[c.id, id(c.owner)].add(stamp, raw)
         if progress and k % _PROGRESS_STEP == 0:
-            progress(f"reading {name}: {k:,} of {total:,} messages")
+            progress(f"reading {name}: {k:,} of {total:,} messages", k / total)
     for topic in topics.values():
         topic.decode()
 
