@@ -43,6 +43,7 @@ FLOORS = (
         "files",
         "names",
         "parameters",
+        "progress",
         "shown",
         "errors",
         "threads",

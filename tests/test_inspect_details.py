@@ -12,7 +12,7 @@ from hybrid.dynamics import inverse_dynamics
 from hybrid.inspect.coverage import coverage_of, excitation_of
 from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import clock_of
-from hybrid.inspect.physics import _doubt
+from hybrid.inspect.physics import _doubt, _gain
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.samples import doubts_of_samples
@@ -169,6 +169,21 @@ def test_some_reading_undoes_what_is_wrong_and_says_what_it_is(spoil, words):
         )
     ]
     assert any(words in x for x in found), found
+
+
+def test_a_scale_has_to_explain_more_than_friction_leaves_and_a_sign_need_not():
+    chain = arm("coman_like").chain
+    ways = list(readings(chain, list(STRAIGHT), np.argsort(SORTED)))
+    plain = {"swapped", "round", "order", "name"}
+    for way in ways:
+        assert way.rescales == (not plain & set(way.looks_like.split()))
+    scale = next(way for way in ways if way.rescales)
+    sign = next(way for way in ways if not way.rescales)
+    before, after = np.full(6, 0.002), np.full(6, 0.002)
+    before[4], after[4] = 0.03, 0.008  # of the variance, as after a stop
+    assert _gain(before, after, sign) > 0.5 and _gain(before, after, scale) == 0.0
+    before[4] = 0.3
+    assert _gain(before, after, scale) > 1.0
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,8 @@ from hybrid.robot.chain import Chain
 
 _LEAST_GAIN = 0.5  # no other reading of a right log reached 0.3
 _EQUAL_GAIN = 0.2  # difference of gain between readings that are equally good
-_USUAL = 0.03  # share of the variance that friction and faults of a right log leave
+_FRICTION_ERROR = 0.003  # share of the variance that another friction law leaves
+_SCALE_ERROR = 0.03  # the same of a law that a scale of torque or time may imitate
 _SEVERITIES: dict[str, Severity] = {"any": "error", "file": "warning"}
 _FINALISTS = 6  # readings that are fitted with weighted joints
 _SHARED = (
@@ -72,7 +73,8 @@ class _Readings:
     def residual(self, reading: OtherReading, masses: str, rounds: int = 2) -> Array:
         """Share of each torque's variance that a fit leaves, shape (n,)."""
         columns = self.columns(reading, masses)
-        return np.maximum(columns.residual(*reading.torque, rounds=rounds), _USUAL)
+        left = columns.residual(*reading.torque, rounds=rounds)
+        return np.maximum(left, _FRICTION_ERROR) if masses == "file" else left
 
 
 def doubts_of_magnitude(
@@ -147,7 +149,7 @@ def _better_reading(
     improvable = [
         masses
         for masses, x in before.items()
-        if _gain(x, np.minimum(x, _USUAL)) > _LEAST_GAIN
+        if _gain(x, np.minimum(x, _FRICTION_ERROR)) > _LEAST_GAIN
     ]
     if not improvable:
         return None
@@ -159,10 +161,13 @@ def _better_reading(
     log.add_regressors(others)
     for masses in log.masses:
         unweighted = log.residual(written, masses, 1)
-        gains = [_gain(unweighted, log.residual(x, masses, 1)) for x in others]
+        gains = [_gain(unweighted, log.residual(x, masses, 1), x) for x in others]
         finalists = [others[k] for k in np.argsort(gains)[: -_FINALISTS - 1 : -1]]
         after = [log.residual(x, masses) for x in finalists]
-        found = [_gain(before[masses], x) for x in after]
+        found = [
+            _gain(before[masses], left, x)
+            for left, x in zip(after, finalists, strict=True)
+        ]
         best = int(np.argmax(found))
         if found[best] > _LEAST_GAIN:
             return finalists[best], before[masses], after[best], _SEVERITIES[masses]
@@ -175,8 +180,13 @@ def _better_reading(
     return None
 
 
-def _gain(before: Array, after: Array) -> float:
-    least = _SHARED * float(before.mean())
+def _gain(before: Array, after: Array, reading: OtherReading | None = None) -> float:
+    """Log of the volume of residuals that a reading saves.
+
+    A scale of torque or time may imitate friction: it has to explain more than that.
+    """
+    rescales = reading is not None and reading.rescales
+    least = max(_SHARED * float(before.mean()), _SCALE_ERROR if rescales else 0.0)
     ratio = np.maximum(before, least) / np.maximum(after, least)
     return float(0.5 * np.log(ratio).sum())
 
