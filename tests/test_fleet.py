@@ -238,7 +238,7 @@ def on_a_cluster(plan, out, when="", what=None):
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
 
-        def tell(text):
+        def tell(text, done=None):
             if when == text:
                 what(cluster)
 

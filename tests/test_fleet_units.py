@@ -82,7 +82,9 @@ def known(monkeypatch):
 def run(arm, folder, **options):
     told = []
     plan = Plan((arm,), **options)
-    return run_plan(plan, Store(folder / "done"), None, told.append), told
+    return run_plan(
+        plan, Store(folder / "done"), None, lambda text, _: told.append(text)
+    ), told
 
 
 def test_each_period_is_asked_once_and_kept(arm, tmp_path, known):

@@ -105,4 +105,6 @@ def test_the_stages_before_are_kept_as_they_were(with_and_without):
     elbow = {s: rms(full, recordings, s)[1] for s in ("IRLS", "+ remainder")}
     assert elbow["+ remainder"] < 0.75 * elbow["IRLS"]
     held_out = full.held_out["+ remainder"]
-    assert held_out == pytest.approx(rms(full, recordings, "+ remainder"), rel=0.25)
+    # Of two thirds of the logs: not better than of all of them, and not much worse.
+    unseen = rms(full, recordings, "+ remainder")
+    assert (held_out > 0.95 * unseen).all() and held_out[1] < 0.5 * elbow["IRLS"]

@@ -218,4 +218,4 @@ def test_no_call_does_much_more_than_another():
             sys.setprofile(None)
     usual = work[200:]
     assert usual.max() < 4 * usual.mean()
-    assert all(len(share) <= 1 for share in to._shares)
+    assert all(len(share) <= 1 for share in to._tasks)

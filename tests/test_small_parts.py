@@ -22,9 +22,9 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.errors import HybridWarning
 from hybrid.excitation import multisine
 from hybrid.excitation.clearance import ends_in_world
-from hybrid.identification.data import Rest
+from hybrid.identification.data import Residual
 from hybrid.identification.friction import _Grid
-from hybrid.identification.remainder import _candidates, _most_telling
+from hybrid.identification.remainder import _best_inputs, _candidates
 from hybrid.plant import Plant, random_fourier
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import limits
@@ -219,10 +219,12 @@ def test_a_remainder_looks_at_what_tells_most_and_at_nothing_in_noise(law, input
     y = law(q, v) + 0.3 * rng.standard_normal(count)
     tau = np.stack([0 * y, y], axis=1)
     moving, fold = np.ones((count, 2), dtype=bool), np.arange(count) % 4
-    assert _most_telling(Rest(q, v, tau, moving, fold), 1, _candidates(1, 2)) == inputs
+    assert (
+        _best_inputs(Residual(q, v, tau, moving, fold), 1, _candidates(1, 2)) == inputs
+    )
     few = slice(0, 150)
-    rest = Rest(q[few], v[few], tau[few], moving[few], fold[few])
-    assert _most_telling(rest, 1, _candidates(1, 2)) is None
+    rest = Residual(q[few], v[few], tau[few], moving[few], fold[few])
+    assert _best_inputs(rest, 1, _candidates(1, 2)) is None
 
 
 # --- signals --------------------------------------------------------------------------
