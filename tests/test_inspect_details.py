@@ -174,16 +174,17 @@ def test_some_reading_undoes_what_is_wrong_and_says_what_it_is(spoil, words):
 def test_a_scale_has_to_explain_more_than_friction_leaves_and_a_sign_need_not():
     chain = arm("coman_like").chain
     ways = list(readings(chain, list(STRAIGHT), np.argsort(SORTED)))
-    plain = {"swapped", "round", "order", "name"}
-    for way in ways:
-        assert way.rescales == (not plain & set(way.looks_like.split()))
-    scale = next(way for way in ways if way.rescales)
-    sign = next(way for way in ways if not way.rescales)
+    sign = next(x for x in ways if (x.factor == -1.0).any())
+    scale = next(x for x in ways if "mN·m" in x.looks_like)
+    clock = next(x for x in ways if x.clock == 2.0)
     before, after = np.full(6, 0.002), np.full(6, 0.002)
     before[4], after[4] = 0.03, 0.008  # of the variance, as after a stop
-    assert _gain(before, after, sign) > 0.5 and _gain(before, after, scale) == 0.0
+    assert _gain(before, after, sign) > 0.5
+    assert _gain(before, after, scale) == _gain(before, after, clock) == 0.0
     before[4] = 0.3
     assert _gain(before, after, scale) > 1.0
+    before[3] = 0.03  # a scale of time shows at two joints at least
+    assert _gain(before, after, clock) > 0.5
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from hybrid.robot.chain import Chain
 _LEAST_GAIN = 0.5  # no other reading of a right log reached 0.3
 _EQUAL_GAIN = 0.2  # difference of gain between readings that are equally good
 _FRICTION_ERROR = 0.003  # share of the variance that another friction law leaves
-_SCALE_ERROR = 0.03  # the same of a law that a scale of torque or time may imitate
+_SCALE_ERROR = 0.03  # the same of a law that a scale of torque may imitate
 _SEVERITIES: dict[str, Severity] = {"any": "error", "file": "warning"}
 _FINALISTS = 6  # readings that are fitted with weighted joints
 _SHARED = (
@@ -183,12 +183,14 @@ def _better_reading(
 def _gain(before: Array, after: Array, reading: OtherReading | None = None) -> float:
     """Log of the volume of residuals that a reading saves.
 
-    A scale of torque or time may imitate friction: it has to explain more than that.
+    Friction may be imitated by a scale of torque, which has to explain more than that,
+    and at one joint by a scale of time, which has to explain others as well.
     """
-    rescales = reading is not None and reading.rescales
-    least = max(_SHARED * float(before.mean()), _SCALE_ERROR if rescales else 0.0)
-    ratio = np.maximum(before, least) / np.maximum(after, least)
-    return float(0.5 * np.log(ratio).sum())
+    scales = reading is not None and (np.abs(reading.factor) != 1.0).any()
+    least = max(_SHARED * float(before.mean()), _SCALE_ERROR if scales else 0.0)
+    gains = 0.5 * np.log(np.maximum(before, least) / np.maximum(after, least))
+    slower = reading is not None and reading.clock != 1.0 and len(gains) > 1
+    return float(gains.sum() - max(gains.max(), 0.0) * slower)
 
 
 def _doubt(

@@ -61,11 +61,6 @@ class OtherReading:
         return b"", b"", self.clock
 
     @property
-    def rescales(self) -> bool:
-        """Whether it changes the scale of a channel, or of time."""
-        return self.clock != 1.0 or bool((np.abs(self.factor) != 1.0).any())
-
-    @property
     def torque(self) -> tuple[NDArray[np.intp], Array]:
         """Torque column of each joint, and its factor, (n,) each."""
         if "tau" in self.channels:
