@@ -52,18 +52,29 @@ def estimate_noise(evidence: Evidence, index: Index) -> None:
         evidence.covariances[i] = covariance
 
 
-def lower_noise(evidence: Evidence, measured: Array, index: Index) -> Array:
-    """Lower the noise where the residual of an explanation is smaller.
+def lower_noise(
+    evidence: Evidence,
+    measured: Array,
+    law_errors: Array,
+    rigid: Index,
+    index: Index,
+) -> tuple[Array, Array]:
+    """Lower noise and errors of laws where the residual of an explanation is smaller.
+
+    Noise and errors of laws together are not above that residual.
 
     Args:
         evidence: Cross-products of a gap, whose covariances are set.
         measured: Noise of each joint before, shape (n,), [N²·m²].
+        law_errors: RMS error of laws over that of the gap before, shape (n,).
+        rigid: Columns of the background.
         index: Columns of the explanation.
 
     Returns:
-        Noise of each joint after, shape (n,), [N²·m²].
+        Noise and errors of laws of each joint after, shape (n,) each.
     """
-    residuals, noise = evidence.residuals(index), measured.copy()
+    noise, errors = measured.copy(), law_errors.copy()
+    gaps, residuals = evidence.residuals(rigid), evidence.residuals(index)
     for i, row in enumerate(evidence.rows):
         if not len(row):
             continue
@@ -72,23 +83,31 @@ def lower_noise(evidence: Evidence, measured: Array, index: Index) -> Array:
         fitted = len(evidence.base_columns(index, i)[0])
         left /= max(1.0 - fitted / _dimensions(evidence, i), 1e-3)
         lasts = autocorrelation_time(left, row[back])
-        power = float(left @ left) / len(row)
+        power, gap = float(left @ left) / len(row), float(np.mean(gaps[i] ** 2))
         if power < _LESS * evidence.covariances[i][0]:
             noise[i] = max(power * lasts, _least_noise(evidence, i, lasts))
             evidence.covariances[i] = autocovariance(left, row[back], LAGS)
-    return noise
+        if power < _LESS * (evidence.covariances[i][0] + errors[i] ** 2 * gap):
+            more = max(power - evidence.covariances[i][0], 0.0)
+            errors[i] = np.sqrt(more / max(gap, 1e-300))
+    return noise, errors
 
 
 def set_noise_model(
-    evidence: Evidence, measured: Array, rigid: Index, prior: Prior
+    evidence: Evidence,
+    measured: Array,
+    law_errors: Array,
+    rigid: Index,
+    prior: Prior,
 ) -> list[Array]:
     """Set the noise of the evidence to measured noise plus model errors.
 
     The errors of laws are a part of the gap, and have its autocovariance; those of
     simulators are a part of the torque.
 
-    ``measured`` is the noise variance of each joint, shape (n,), [N²·m²], and ``rigid``
-    are the columns of the background.
+    ``measured`` is the noise variance of each joint, shape (n,), [N²·m²], ``law_errors``
+    the RMS error of laws over that of the gap, shape (n,), and ``rigid`` are the columns
+    of the background.
 
     Returns:
         Covariance of each joint's noise at lags from zero on, shape (p + 1,) each.
@@ -104,7 +123,7 @@ def set_noise_model(
             torque -= np.mean(torque)
             solver = prior.solver_error**2 * np.mean(torque**2)
             solver *= autocorrelation_time(torque, rows[back])
-            law = prior.law_error**2 * autocovariance(left, rows[back], LAGS)
+            law = law_errors[i] ** 2 * autocovariance(left, rows[back], LAGS)
             evidence.noise[i] += solver + law[0] * autocorrelation_time(
                 left, rows[back]
             )

@@ -64,6 +64,8 @@ class Posterior:
         pool: Candidates of all effects at all places.
         laws: Unknown laws of all joints.
         noise: Noise variance of each joint, shape (n,), [N²·m²].
+        law_errors: RMS error of laws over that of the gap, shape (n,). It is the prior
+            one at first, and at most what an explanation leaves beyond the noise.
         covariances: Covariance of each joint's noise and model errors at lags from
             zero on, shape (p + 1,) each.
     """
@@ -91,6 +93,7 @@ class Posterior:
         self.pool.add_ripples(self.rigid, _RIPPLES)
         estimate_noise(self.evidence, np.arange(self.evidence.size))
         self.noise = self.evidence.noise.copy()
+        self.law_errors = np.full(gap.robot.size, self.prior.law_error)
         self._set_noise()
         self.pool.add_contacts(self.rigid)
         self.pool.add_steep(self.rigid)
@@ -99,7 +102,7 @@ class Posterior:
     def _set_noise(self) -> None:
         """Set the noise model, and forget all that depends on it."""
         self.covariances = set_noise_model(
-            self.evidence, self.noise, self.rigid, self.prior
+            self.evidence, self.noise, self.law_errors, self.rigid, self.prior
         )
         rigid = self.evidence.solve(self.rigid)
         squares = self.evidence.weighted_squares(rigid.index, rigid.gains)
@@ -109,9 +112,9 @@ class Posterior:
 
     def model_error_odds(self, c: Cause | Candidate) -> float:
         """Evidence for a cause that may come from the errors of other laws, [nat]."""
-        known = isinstance(c, Candidate) or c.candidate is not None
-        part = self.prior.law_error if known else self.prior.real_law_error
-        return float(part**2 * self._explainable[list(c.place[1])].max())
+        known, at = isinstance(c, Candidate) or c.candidate is not None, [*c.place[1]]
+        part = self.law_errors[at] if known else self.prior.real_law_error
+        return float(np.max(part**2 * self._explainable[at]))
 
     def odds(self, c: Cause) -> float:
         """Log odds against a cause, [nat]."""
@@ -237,10 +240,11 @@ class Posterior:
 
     def update_noise(self, causes: Sequence[Cause]) -> bool:
         """Lower the noise where some causes leave less; return whether they do."""
-        lower = lower_noise(self.evidence, self.noise, self.columns(causes))
-        less = bool(np.any(lower != self.noise))
+        before = self.noise, self.law_errors
+        after = lower_noise(self.evidence, *before, self.rigid, self.columns(causes))
+        less = any(np.any(x != y) for x, y in zip(before, after, strict=True))
         if less:
-            self.noise = lower
+            self.noise, self.law_errors = after
             self._set_noise()
         return less
 

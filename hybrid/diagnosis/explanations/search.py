@@ -113,7 +113,6 @@ class Search(Proposals):
         """
         before = self.causes, self.file_error
         self.causes, self.refused = self._with_usual([]), frozenset()
-        self._fit_file_error()
         self.update_noise(self.causes)
         self._remove()
         for self.library_only in (True, False):
