@@ -12,13 +12,9 @@ from scipy.stats import multivariate_normal
 from hybrid.diagnosis.answer.unseen import left_unseen
 from hybrid.diagnosis.evidence.bayes import log_bayes
 from hybrid.diagnosis.evidence.contacts import _OF_ALL, _Stretch
-from hybrid.diagnosis.evidence.estimate import (
-    estimate_noise,
-    lower_noise,
-    set_noise_model,
-)
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import low_frequency_excess, without_events
+from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.prior import Prior
 from hybrid.signals import autocorrelation_time, butterworth
@@ -180,18 +176,22 @@ def test_noise_is_not_small_where_many_columns_take_it():
     assert np.median(found) > 0.5 * 0.09
 
 
-def test_noise_is_no_more_than_an_explanation_leaves():
+@pytest.mark.parametrize("measured", [4.0, 0.05])
+def test_noise_and_errors_of_laws_are_no_more_than_an_explanation_leaves(measured):
     """Four fifths of the columns are the true ones; the others alone explain little."""
     rng = np.random.default_rng(9)
     evidence, index = noisy(rng, samples=600, columns=50, used=40)
-    measured, evidence.covariances = np.array([4.0]), [np.array([4.0, 2.0])]
-    few = lower_noise(evidence, measured, index[:5])
-    np.testing.assert_array_equal(few, measured)
-    assert evidence.covariances[0][0] == 4.0
-    lower = lower_noise(evidence, measured, index)
-    assert evidence.covariances[0][0] == pytest.approx(0.09, rel=0.2)
-    assert lower[0] == pytest.approx(0.09, rel=0.4)
-    assert measured[0] == 4.0
+    evidence.noise[:] = measured
+    evidence.covariances = [np.array([measured, measured / 2])]
+    gap = float(np.mean(evidence.residuals(index[:0])[0] ** 2))
+    model = NoiseModel(evidence, Prior(law_error=0.5))
+    assert not model.lower(index[:0], index[:5])
+    assert model.measured == measured and model.law_errors == 0.5
+    assert model.lower(index[:0], index)
+    noise, law = evidence.covariances[0][0], model.law_errors[0] ** 2 * gap
+    assert noise + law == pytest.approx(0.09, rel=0.2)
+    assert model.measured[0] == pytest.approx(min(measured, 0.09), rel=0.4)
+    assert not model.lower(index[:0], index)
 
 
 def test_noise_is_not_what_happened_once():
@@ -360,8 +360,9 @@ def test_no_two_simulators_agree_by_noise_that_has_no_memory():
     evidence = Evidence(gap, None)
     (index,) = evidence.add([{0: rng.standard_normal((400, 2))}], [np.ones(2)])
     kept = evidence.covariances[0].copy()
-    prior = Prior(law_error=0.0, solver_error=0.1)
-    (found,) = set_noise_model(evidence, np.ones(1), index, prior)
+    model = NoiseModel(evidence, Prior(law_error=0.0, solver_error=0.1))
+    model.apply(index)
+    (found,) = model.covariances
     np.testing.assert_array_equal(found[1:], kept[1:])
     added = 0.1**2 * gap.measured.var()
     assert found[0] > kept[0] + added

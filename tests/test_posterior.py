@@ -256,11 +256,11 @@ def test_noise_is_at_most_what_an_explanation_leaves():
     at = search(RUBS)
     at.causes = [cause(at, RUBS)]
     at.update_noise(at.causes)
-    true = at.noise.copy()
-    at.noise *= 100.0
+    true = at.noise.measured.copy()
+    at.noise.measured *= 100.0
     at.evidence.covariances[0] *= 100.0
     assert at.update_noise(at.causes)
-    np.testing.assert_allclose(at.noise, true, rtol=0.3)
+    np.testing.assert_allclose(at.noise.measured, true, rtol=0.3)
     assert not at.update_noise(at.causes)
 
 
@@ -302,7 +302,7 @@ def test_the_squares_elsewhere_are_those_of_the_residual():
 def test_no_law_is_held_to_be_exact():
     """A gap that is larger asks for more evidence at its joint, and only there."""
     small, large = search(RUBS, size=2), search(RUBS, LARGE, size=2)
-    more = [x.evidence.noise - x.noise for x in (small, large)]
+    more = [x.evidence.noise - x.noise.measured for x in (small, large)]
     assert np.all(more[0] > 0.0)
     least = small.prior.law_error**2 * 25.0  # of one sample that is like no other
     assert more[1][1] - more[0][1] > least

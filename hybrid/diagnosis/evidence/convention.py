@@ -20,8 +20,8 @@ from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import candidate
-from hybrid.diagnosis.evidence.estimate import estimate_noise
 from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.noise_model import estimate_noise
 from hybrid.diagnosis.gap.background import background, friction_near_rest
 from hybrid.diagnosis.gap.gap import LOWER_BAND, Columns, Gap
 from hybrid.diagnosis.gap.measure import measure_gap

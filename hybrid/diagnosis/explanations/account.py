@@ -67,7 +67,7 @@ def account(search: Search, reached: Array | None = None) -> Account:
     ceiling = ceiling * np.maximum(1.0 - slow, 0.0)
     if reached is not None:
         ceiling = np.minimum(ceiling, reached)
-    variance = ceiling * search.noise / np.maximum(search.evidence.count, 1)
+    variance = ceiling * search.noise.measured / np.maximum(search.evidence.count, 1)
     return Account(before, after, ceiling, variance, tuple(depends))
 
 
@@ -91,4 +91,4 @@ def _left(search: Search, causes: Sequence[Cause]) -> Array:
     evidence = search.evidence
     found = evidence.solve(search.columns(search.causes if causes else []))
     index = search.columns(causes)
-    return evidence.squares(index, found.of(index)) / search.noise
+    return evidence.squares(index, found.of(index)) / search.noise.measured

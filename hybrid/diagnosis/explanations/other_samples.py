@@ -42,7 +42,7 @@ class OtherSamples:
         self._search, self.use, gap = proxy(search), use, search.gap
         self.evidence = Evidence(gap, use)
         self.evidence.noise = search.evidence.noise
-        self.evidence.set_covariances(search.covariances)
+        self.evidence.set_covariances(search.noise.covariances)
         numbers = self.evidence.add(*background(gap))
         others = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
             *sampling_delays(gap)

@@ -24,12 +24,8 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Candidate
-from hybrid.diagnosis.evidence.estimate import (
-    estimate_noise,
-    lower_noise,
-    set_noise_model,
-)
 from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
 from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import refine
@@ -63,11 +59,7 @@ class Posterior:
         file_error: Relative standard deviation of the file's numbers.
         pool: Candidates of all effects at all places.
         laws: Unknown laws of all joints.
-        noise: Noise variance of each joint, shape (n,), [N²·m²].
-        law_errors: RMS error of laws over that of the gap, shape (n,). It is the prior
-            one at first, and at most what an explanation leaves beyond the noise.
-        covariances: Covariance of each joint's noise and model errors at lags from
-            zero on, shape (p + 1,) each.
+        noise: Noise of each joint, and errors of laws and simulators.
     """
 
     def __init__(
@@ -92,8 +84,7 @@ class Posterior:
         self.pool = Pool(self.evidence, without)
         self.pool.add_ripples(self.rigid, _RIPPLES)
         estimate_noise(self.evidence, np.arange(self.evidence.size))
-        self.noise = self.evidence.noise.copy()
-        self.law_errors = np.full(gap.robot.size, self.prior.law_error)
+        self.noise = NoiseModel(self.evidence, self.prior)
         self._set_noise()
         self.pool.add_contacts(self.rigid)
         self.pool.add_steep(self.rigid)
@@ -101,9 +92,7 @@ class Posterior:
 
     def _set_noise(self) -> None:
         """Set the noise model, and forget all that depends on it."""
-        self.covariances = set_noise_model(
-            self.evidence, self.noise, self.law_errors, self.rigid, self.prior
-        )
+        self.noise.apply(self.rigid)
         rigid = self.evidence.solve(self.rigid)
         squares = self.evidence.weighted_squares(rigid.index, rigid.gains)
         self._explainable = squares / 2
@@ -113,7 +102,7 @@ class Posterior:
     def model_error_odds(self, c: Cause | Candidate) -> float:
         """Evidence for a cause that may come from the errors of other laws, [nat]."""
         known, at = isinstance(c, Candidate) or c.candidate is not None, [*c.place[1]]
-        part = self.law_errors[at] if known else self.prior.real_law_error
+        part = self.noise.law_errors[at] if known else self.prior.real_law_error
         return float(np.max(part**2 * self._explainable[at]))
 
     def odds(self, c: Cause) -> float:
@@ -240,13 +229,10 @@ class Posterior:
 
     def update_noise(self, causes: Sequence[Cause]) -> bool:
         """Lower the noise where some causes leave less; return whether they do."""
-        before = self.noise, self.law_errors
-        after = lower_noise(self.evidence, *before, self.rigid, self.columns(causes))
-        less = any(np.any(x != y) for x, y in zip(before, after, strict=True))
-        if less:
-            self.noise, self.law_errors = after
+        lower = self.noise.lower(self.rigid, self.columns(causes))
+        if lower:
             self._set_noise()
-        return less
+        return lower
 
     def doubtful_joints(self, causes: Sequence[Cause]) -> list[int]:
         """Joints at which the file's numbers are as improbable as a cause."""

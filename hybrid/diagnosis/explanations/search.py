@@ -179,7 +179,7 @@ class Search(Proposals):
         """What an exchange of a cause depends on, above all causes at its joints."""
         own = set(cause.place[1])
         near = (c for c in self.causes if own.intersection(c.place[1]))
-        settings = self.library_only, self.file_error, self.noise.tobytes()
+        settings = self.library_only, self.file_error, self.evidence.noise.tobytes()
         return frozenset([*settings, *near])
 
     def _fit_file_error(self) -> bool:

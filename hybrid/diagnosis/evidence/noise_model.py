@@ -7,6 +7,7 @@ explanation where that is smaller.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.arrays import Array
@@ -23,6 +24,93 @@ from hybrid.signals import autocorrelation_time
 
 _LESS = 0.9  # of a variance: a fall that is worth another search
 _RIDGES = 10.0 ** np.arange(-5, 5)  # for columns of unit length
+
+
+class NoiseModel:
+    """Noise of each joint plus the errors of laws and simulators.
+
+    The errors of laws are a part of the gap, and have its autocovariance; those of
+    simulators are a part of the torque. Noise and errors of laws together are at most
+    what an explanation leaves.
+
+    Args:
+        evidence: Cross-products of a gap, whose noise is estimated.
+
+    Attributes:
+        measured: Noise variance of each joint, shape (n,), [N²·m²].
+        law_errors: RMS error of laws over that of the gap, shape (n,).
+        covariances: Covariance of each joint's noise and errors at lags from zero on,
+            shape (p + 1,) each.
+    """
+
+    def __init__(self, evidence: Evidence, prior: Prior) -> None:
+        self._evidence, self._prior = evidence, prior
+        self.measured = evidence.noise.copy()
+        self.law_errors = np.full(len(evidence.rows), prior.law_error)
+        self.covariances: list[Array] = []
+
+    def lower(self, rigid: Index, index: Index) -> bool:
+        """Lower noise and errors where an explanation leaves less; whether it does.
+
+        Args:
+            rigid: Columns of the background.
+            index: Columns of the explanation.
+        """
+        evidence, lower = self._evidence, False
+        gaps, residuals = evidence.residuals(rigid), evidence.residuals(index)
+        for i, row in enumerate(evidence.rows):
+            if not len(row):
+                continue
+            back = np.argsort(row)
+            left = residuals[i][back]
+            fitted = len(evidence.base_columns(index, i)[0])
+            left /= max(1.0 - fitted / _dimensions(evidence, i), 1e-3)
+            power, gap = float(np.mean(left**2)), float(np.mean(gaps[i] ** 2))
+            if power < _LESS * evidence.covariances[i][0]:
+                lasts = autocorrelation_time(left, row[back])
+                least = _least_noise(evidence, i, lasts)
+                self.measured[i] = max(power * lasts, least)
+                evidence.covariances[i] = autocovariance(left, row[back], LAGS)
+                lower = True
+            noise, law = evidence.covariances[i][0], self.law_errors[i] ** 2 * gap
+            if power < _LESS * (noise + law):
+                self.law_errors[i] = np.sqrt(max(power - noise, 0.0) / gap)
+                lower = True
+        return lower
+
+    def apply(self, rigid: Index) -> None:
+        """Set the noise of the evidence; ``rigid`` are columns of the background."""
+        evidence, gap = self._evidence, self._evidence.gap
+        residuals = evidence.residuals(rigid)
+        evidence.noise, covariances = self.measured.copy(), list[Array]()
+        for i, rows in enumerate(evidence.rows):
+            covariance = evidence.covariances[i].copy()
+            if len(rows):
+                row = np.sort(rows)
+                left = residuals[i][np.argsort(rows)]
+                noise, law = self._law_error(left, row, self.law_errors[i])
+                if gap.subtracted is not None:
+                    known = gap.subtracted[row, i]
+                    more = self._law_error(known, row, self._prior.real_law_error)
+                    noise, law = noise + more[0], law + more[1]
+                torque = gap.measured[row, i]
+                torque -= np.mean(torque)
+                solver = self._prior.solver_error**2 * np.mean(torque**2)
+                solver *= autocorrelation_time(torque, row)
+                evidence.noise[i] += noise + solver
+                covariance += law
+                covariance[0] += law[0] + solver
+            covariances.append(floored(covariance, gap.cutoff / gap.rate))
+        self.covariances = covariances
+        evidence.set_covariances(covariances)
+
+    @staticmethod
+    def _law_error(
+        torque: Array, row: NDArray[np.intp], part: float
+    ) -> tuple[float, Array]:
+        """Noise and covariance of errors that are a part of some torque."""
+        covariance = part**2 * autocovariance(torque, row, LAGS)
+        return float(covariance[0] * autocorrelation_time(torque, row)), covariance
 
 
 def estimate_noise(evidence: Evidence, index: Index) -> None:
@@ -50,94 +138,6 @@ def estimate_noise(evidence: Evidence, index: Index) -> None:
         covariance = autocovariance(x, own, LAGS)
         covariance *= noise / max(autocorrelation_time(x, own) * covariance[0], 1e-300)
         evidence.covariances[i] = covariance
-
-
-def lower_noise(
-    evidence: Evidence,
-    measured: Array,
-    law_errors: Array,
-    rigid: Index,
-    index: Index,
-) -> tuple[Array, Array]:
-    """Lower noise and errors of laws where the residual of an explanation is smaller.
-
-    Noise and errors of laws together are not above that residual.
-
-    Args:
-        evidence: Cross-products of a gap, whose covariances are set.
-        measured: Noise of each joint before, shape (n,), [N²·m²].
-        law_errors: RMS error of laws over that of the gap before, shape (n,).
-        rigid: Columns of the background.
-        index: Columns of the explanation.
-
-    Returns:
-        Noise and errors of laws of each joint after, shape (n,) each.
-    """
-    noise, errors = measured.copy(), law_errors.copy()
-    gaps, residuals = evidence.residuals(rigid), evidence.residuals(index)
-    for i, row in enumerate(evidence.rows):
-        if not len(row):
-            continue
-        back = np.argsort(row)
-        left = residuals[i][back]
-        fitted = len(evidence.base_columns(index, i)[0])
-        left /= max(1.0 - fitted / _dimensions(evidence, i), 1e-3)
-        lasts = autocorrelation_time(left, row[back])
-        power, gap = float(left @ left) / len(row), float(np.mean(gaps[i] ** 2))
-        if power < _LESS * evidence.covariances[i][0]:
-            noise[i] = max(power * lasts, _least_noise(evidence, i, lasts))
-            evidence.covariances[i] = autocovariance(left, row[back], LAGS)
-        if power < _LESS * (evidence.covariances[i][0] + errors[i] ** 2 * gap):
-            more = max(power - evidence.covariances[i][0], 0.0)
-            errors[i] = np.sqrt(more / max(gap, 1e-300))
-    return noise, errors
-
-
-def set_noise_model(
-    evidence: Evidence,
-    measured: Array,
-    law_errors: Array,
-    rigid: Index,
-    prior: Prior,
-) -> list[Array]:
-    """Set the noise of the evidence to measured noise plus model errors.
-
-    The errors of laws are a part of the gap, and have its autocovariance; those of
-    simulators are a part of the torque.
-
-    ``measured`` is the noise variance of each joint, shape (n,), [N²·m²], ``law_errors``
-    the RMS error of laws over that of the gap, shape (n,), and ``rigid`` are the columns
-    of the background.
-
-    Returns:
-        Covariance of each joint's noise at lags from zero on, shape (p + 1,) each.
-    """
-    residuals, gap = evidence.residuals(rigid), evidence.gap
-    evidence.noise, covariances = measured.copy(), list[Array]()
-    for i, rows in enumerate(evidence.rows):
-        covariance = evidence.covariances[i].copy()
-        if len(rows):
-            back = np.argsort(rows)
-            left = residuals[i][back]
-            torque = gap.measured[rows[back], i]
-            torque -= np.mean(torque)
-            solver = prior.solver_error**2 * np.mean(torque**2)
-            solver *= autocorrelation_time(torque, rows[back])
-            law = law_errors[i] ** 2 * autocovariance(left, rows[back], LAGS)
-            evidence.noise[i] += solver + law[0] * autocorrelation_time(
-                left, rows[back]
-            )
-            if gap.subtracted is not None:
-                known, part = gap.subtracted[rows[back], i], prior.real_law_error**2
-                law += part * autocovariance(known, rows[back], LAGS)
-                evidence.noise[i] += (
-                    part * np.mean(known**2) * autocorrelation_time(known, rows[back])
-                )
-            covariance += law
-            covariance[0] += law[0] + solver
-        covariances.append(floored(covariance, gap.cutoff / gap.rate))
-    evidence.set_covariances(covariances)
-    return covariances
 
 
 def _dimensions(evidence: Evidence, i: int) -> float:
