@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.candidates import Candidate
+from hybrid.diagnosis.evidence.candidates import Candidate, Place, candidate
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
 from hybrid.diagnosis.evidence.pool import Pool
@@ -41,6 +41,7 @@ from hybrid.diagnosis.gap.background import (
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.gap.split import unseen_samples
 from hybrid.diagnosis.prior import Prior
+from hybrid.effects import effect_classes
 
 _RIPPLES = 9  # orders at each joint, in the regression that estimates the noise
 
@@ -89,6 +90,7 @@ class Posterior:
         self.pool.add_contacts(self.rigid)
         self.pool.add_steep(self.rigid)
         self.laws = UnknownLaws(self.evidence, self.rigid, self.prior)
+        self._simple: dict[Place, Cause] = {}
 
     def _set_noise(self) -> None:
         """Set the noise model, and forget all that depends on it."""
@@ -212,15 +214,30 @@ class Posterior:
     def unseen_gain(self, causes: Sequence[Cause]) -> dict[Cause, float]:
         """By how much each cause lowers :meth:`unseen_loss`, [nat].
 
-        The smaller fall of both losses counts. All others are refitted without it.
+        The smaller fall of both losses counts. All others are refitted without it, and
+        the simpler law that it becomes may take its place.
         """
         if not causes:
             return {}
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
         for c in causes:
-            fall = self.unseen_loss([x for x in causes if x is not c]) - whole
-            gains[c] = float(fall.min())
+            rest = [x for x in causes if x is not c]
+            others = [rest, *([*rest, x] for x in self._simpler(c, rest))]
+            gains[c] = min(float(np.min(self.unseen_loss(x) - whole)) for x in others)
         return gains
+
+    def _simpler(self, c: Cause, rest: Sequence[Cause]) -> list[Cause]:
+        """The simpler law that a cause becomes, unless it is among the rest."""
+        becomes = c.candidate.effect.becomes if c.candidate else None
+        if not becomes or not becomes[2] or becomes[2] in self.pool.without:
+            return []
+        place = becomes[2], c.place[1]
+        if any(x.place == place for x in rest):
+            return []
+        if place not in self._simple:
+            effect = effect_classes()[place[0]](place[1])
+            self._simple[place] = self.cause(candidate(self.gap, effect))
+        return [self._simple[place]]
 
     @cached_property
     def test(self) -> OtherSamples:
