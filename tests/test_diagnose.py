@@ -502,8 +502,9 @@ class TestCause:
             ),
             (
                 Spring((1,), {"stiffness": 0.005, "preload": 2.0}),
-                {"spring", "torque_offset", "asymmetric_friction"},
+                {"torque_offset", "asymmetric_friction"},
             ),
+            (Spring((1,), {"stiffness": 0.05, "preload": 2.0}), {"spring"}),
         ],
     )
     def test_a_law_with_a_gain_that_is_not_needed_is_no_alternative(
