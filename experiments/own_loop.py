@@ -7,6 +7,7 @@ torques, changes of the model, or of what is logged; logged at 500 Hz before the
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import mujoco
@@ -32,7 +33,7 @@ class OwnLoop:
         kinds: Which faults, of ``own_fault.KINDS``.
         seed: Source of joints, motions and noise.
         motion: What makes the motions.
-        without: Number of a fault that is left out of an otherwise equal loop.
+        only: Numbers of the faults that the loop has, otherwise equal; all by default.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class OwnLoop:
         kinds: tuple[str, ...],
         seed: int,
         motion: Make = random_fourier,
-        without: int | None = None,
+        only: Collection[int] | None = None,
     ) -> None:
         self.motion = motion
         self.rng = np.random.default_rng([seed, *map(KINDS.index, kinds)])
@@ -51,7 +52,7 @@ class OwnLoop:
         self.faults = [
             Fault(kind, j, scales[j], self.rated)
             for k, (kind, j) in enumerate(zip(kinds, joints, strict=True))
-            if k != without
+            if only is None or k in only
         ]
         inertia = self._inertia(robot)
         kp, kd = inertia * (10 * np.pi) ** 2, inertia * 16 * np.pi

@@ -1,9 +1,9 @@
 """Are both faults of a loop found that has two?
 
 Pairs of the faults of ``own_loops``, drawn at random, each at a joint of its own or at
-the same. A number beside each fault says how many times the noise it changes the torque
-along one motion, both below 10 Hz: some leave next to no trace at the joint that they
-fall on. They are counted, and those apart of which both are as large as the noise.
+the same. A number beside each fault says how many times the noise it adds to the gap,
+alone: some leave next to no trace, on that arm, at that joint. All pairs are counted,
+and those apart of which both are as large as the noise.
 
     python experiments/own_loops_pairs.py --arms models/scara.xml,ur5,z1 --seed 41
 """
@@ -19,14 +19,12 @@ import numpy as np
 from blind.robots import load_arm
 from outputs import command_line
 from own_fault import IN_COMMAND, KINDS
-from own_loop import HOLD, LOG, NOISE, STEP, OwnLoop
-from own_loops import counted, run, write_report
+from own_loop import OwnLoop
+from own_loops import RECORDINGS, counted, run, write_report
 from rich.console import Console
 
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.report import Table
-from hybrid.signals.filters import butterworth
-
-BAND = 10.0  # Hz
 
 
 def outcome(found: dict[str, Any]) -> str:
@@ -49,16 +47,19 @@ def pair(job: tuple[str, tuple[str, ...], int]) -> dict[str, Any]:
 
 
 def sizes(arm: str, kinds: tuple[str, ...], seed: int) -> list[float]:
-    """What each fault changes of the torque, at most at a joint, in units of noise."""
-    robot, band = load_arm(arm), {"rate": 1 / (STEP * HOLD * LOG), "cutoff": BAND}
-    torques = []
-    for without in (None, *range(len(kinds))):
-        loop = OwnLoop(robot, kinds, seed, without=without)
-        loop.rng = np.random.default_rng(seed)  # the same motion, and noise
-        torques.append(butterworth(loop.record().tau, **band))
-    noise = NOISE * loop.rated * np.sqrt(2 * BAND / band["rate"])
-    changes = [np.sqrt(np.mean((x - torques[0]) ** 2, axis=0)) for x in torques[1:]]
-    return [float((x / noise).max()) for x in changes]
+    """What each fault alone adds to the gap, at most at a joint, in units of noise.
+
+    The noise is the gap of the loop without faults. The gap is of the motion that is
+    driven: that a fault changes the motion is none.
+    """
+    robot, squares = load_arm(arm), []
+    for only in ((), *((k,) for k in range(len(kinds)))):
+        loop = OwnLoop(robot, kinds, seed, only=only)
+        loop.rng = np.random.default_rng(seed)  # the same reference, and noise
+        gap = measure_gap(loop.robot, [loop.record() for _ in range(RECORDINGS)])
+        squares.append(np.mean(gap.left**2, axis=0))
+    more = [np.maximum(x / squares[0] - 1.0, 0.0) for x in squares[1:]]
+    return [float(np.sqrt(x.max())) for x in more]
 
 
 def draw(arms: list[str], count: int, seed: int) -> Iterator[tuple[Any, ...]]:
