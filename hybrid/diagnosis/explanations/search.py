@@ -113,6 +113,7 @@ class Search(Proposals):
         """
         before = self.causes, self.file_error
         self.causes, self.refused = self._with_usual([]), frozenset()
+        self._fit_file_error()
         self.update_noise(self.causes)
         self._remove()
         for self.library_only in (True, False):
@@ -172,7 +173,7 @@ class Search(Proposals):
                         changed = True
                     else:
                         self._checked[cause] = self._neighbours(cause)
-            if not changed and not self._fit_file_error():
+            if not (changed or self._fit_file_error() or self._exchange_file_error()):
                 break
 
     def _neighbours(self, cause: Cause) -> frozenset[object]:
@@ -200,6 +201,24 @@ class Search(Proposals):
         if better:
             self.set_file_error(best)
         return better
+
+    def _exchange_file_error(self) -> bool:
+        """Exchange a large error of the file's numbers for the best cause."""
+        typical, error = self.prior.file_errors[1], self.file_error
+        if error <= typical:
+            return False
+        now = self.score(self.causes) - self.file_error_odds(error)
+        loss = self.held_out_loss(self.causes)
+        self.evidence.scale_prior(self.numbers, typical)
+        for found in self.proposals(self.causes)[:1]:
+            causes = [*self.causes, found.make()]
+            if self.score(causes) - self.file_error_odds(typical) > now + _BETTER:
+                if np.all(self.held_out_loss(causes) < loss):
+                    self.causes = causes
+                    self.set_file_error(typical)
+                    return True
+        self.evidence.scale_prior(self.numbers, error)
+        return False
 
     def _reset_file_error(self) -> bool:
         """Return to the typical error of the file's numbers if a larger one fails.
