@@ -138,7 +138,7 @@ def white():
     search = poorly_recorded("load_friction", 0, 0.3)[0].search
     search.evidence.set_covariances(search.evidence.noise[:, None])
     yield
-    search.evidence.set_covariances(search.covariances)
+    search.evidence.set_covariances(search.noise.covariances)
 
 
 def test_what_is_told_is_what_a_search_on_all_data_would_find(white):
