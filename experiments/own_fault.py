@@ -74,7 +74,7 @@ class Fault:
                 body.ipos = np.array(body.ipos) + np.array([0.02, 0.01, -0.02])
             case "elasticity" | "backlash":
                 joint.armature = max(float(joint.armature), 0.15 * inertia)
-                twist = body.add_joint(name=f"{name}_twist", axis=joint.axis)
+                twist = body.add_joint(name=f"{name}_{self.kind}", axis=joint.axis)
                 stiffness = inertia * (2 * np.pi * 15.0) ** 2
                 twist.damping[0] = 0.03 * inertia
                 if self.kind == "elasticity":
