@@ -84,7 +84,7 @@ QUANTITIES = (
     DriveQuantity("upper", "rad", "contact", 0.5, "", False),
     DriveQuantity("mass", "", "payload", 0.3, shared=True),
     DriveQuantity("ground", "m", "contact", 0.2, "", False, shared=True),
-    DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0),
+    DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0, shared=True),
 )
 NAMES = tuple(x.name for x in QUANTITIES)
 PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")

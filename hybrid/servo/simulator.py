@@ -6,7 +6,7 @@ import copy
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -110,7 +110,7 @@ class ServoSimulator:
             none if drive is None else drive[name]
             for name in ("delay", "pace", "dead_band")
         )
-        control = delayed(slowed(stretch, pace), late, parts)
+        control = goals(stretch, late, pace, parts)
         state = self._state(models[step], drive, stretch, control[0])
         return Run(stretch, parts, models[step], state, control, dead)
 
@@ -259,35 +259,31 @@ def missed(
     return np.asarray(np.nan_to_num(np.array(found), nan=np.inf))
 
 
-def delayed(stretch: Stretch, delay: Array, parts: int) -> Array:
-    """Commands as they act at every physics step, shape (parts·(N − 1), n), [rad].
+def goals(stretch: Stretch, delay: Array, pace: Array, parts: int) -> Array:
+    """Goals of the servos at every physics step, shape (parts·(N − 1), n), [rad].
 
     Args:
         stretch: Commands at the rate of the log.
-        delay: By how much each joint's acts later, shape (n,), [s].
+        delay: By how much each joint's command acts later, shape (n,), [s].
+        pace: Least time of a rad of each joint's goal, shape (n,), [s/rad].
         parts: Physics steps between two samples.
     """
-    t = np.arange((len(stretch.command) - 1) * parts) * (stretch.step / parts)
-    logged = np.arange(len(stretch.command)) * stretch.step
-    each = zip(stretch.command.T, delay, strict=True)
-    return np.stack([np.interp(t - d, logged, x) for x, d in each], axis=1)
+    sent, samples, step = stretch.sent, len(stretch.command), stretch.step / parts
+    logged = np.arange(samples - len(sent), samples) * stretch.step
+    steps, earlier = (samples - 1) * parts, (len(sent) - samples) * parts
+    out = np.empty((steps, sent.shape[1]))
+    for j, (late, slow) in enumerate(zip(delay, pace, strict=True)):
+        first = -earlier if slow > 0 else 0
+        asked = np.interp(np.arange(first, steps) * step - late, logged, sent[:, j])
+        out[:, j] = (slowed(asked, step / slow) if slow > 0 else asked)[-steps:]
+    return out
 
 
-def slowed(stretch: Stretch, pace: Array) -> Stretch:
-    """A stretch whose goals move no faster than they may.
-
-    Args:
-        stretch: Commands at the rate of the log.
-        pace: Least time of a rad of each joint's goal, shape (n,), [s/rad].
-    """
-    command = stretch.command
-    for j in np.flatnonzero(pace > 0).tolist():
-        most = stretch.step / pace[j]
-        if np.abs(np.diff(stretch.command[:, j])).max() <= most:
-            continue
-        goals, goal = stretch.command[:, j].tolist(), float(stretch.command[0, j])
-        for k, x in enumerate(goals):
-            goals[k] = goal = goal + min(max(x - goal, -most), most)
-        command = command.copy() if command is stretch.command else command
-        command[:, j] = goals
-    return stretch if command is stretch.command else replace(stretch, command=command)
+def slowed(asked: Array, most: float) -> Array:
+    """Goals that follow what is asked, shape (K,), by no more than ``most`` a step."""
+    if np.abs(np.diff(asked)).max() <= most:
+        return asked
+    followed, goal = asked.tolist(), float(asked[0])
+    for k, x in enumerate(followed):
+        followed[k] = goal = goal + min(max(x - goal, -most), most)
+    return np.array(followed)

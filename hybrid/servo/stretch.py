@@ -12,6 +12,7 @@ from hybrid.errors import RecordingError
 from hybrid.recording import Recording, resample, unbroken
 
 _SHORTEST = 2.0  # s: a servo settles in less
+_CAUGHT_UP = 10.0  # s: a goal of limited speed has caught up with its command in less
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,8 @@ class Stretch:
         q: Measured position, shape (N, n), [rad].
         v: Speed at the first sample, shape (n,), [rad/s].
         source: Where it is from.
+        before: Commands of the log before the first sample, shape (B, n), [rad]. They
+            decide where a goal that is late or slow stands at the first sample.
     """
 
     step: float
@@ -31,6 +34,14 @@ class Stretch:
     q: Array
     v: Array
     source: str = ""
+    before: Array | None = None
+
+    @property
+    def sent(self) -> Array:
+        """Commands up to the last sample, those before the first too, (B + N, n)."""
+        if self.before is None:
+            return self.command
+        return np.concatenate([self.before, self.command])
 
     @property
     def duration(self) -> float:
@@ -44,7 +55,10 @@ class Stretch:
             near = slice(max(first - 2, 0), first + 3)
             v = np.gradient(self.q[near], self.step, axis=0).mean(axis=0)
         part = slice(first, first + samples)
-        return Stretch(self.step, self.command[part], self.q[part], v, self.source)
+        sent, earlier = self.sent, len(self.sent) - len(self.q) + first
+        before = sent[max(earlier - round(_CAUGHT_UP / self.step), 0) : earlier]
+        command, q = self.command[part], self.q[part]
+        return Stretch(self.step, command, q, v, self.source, before)
 
 
 def without_torque(recordings: Sequence[Recording]) -> bool:
