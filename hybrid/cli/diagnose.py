@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen, show_servos
+from hybrid.cli import options, servos
+from hybrid.cli.screen import Screen
 from hybrid.errors import EffectError, HybridError, HybridWarning
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="HZ",
         help="cut-off of columns and torque (default: from the spectrum)",
     )
-    options.add_servo(parser)
+    servos.add_arguments(parser)
     parser.add_argument(
         "--rerun",
         type=Path,
@@ -80,7 +80,6 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.report.diagnosis import CONTENT, PAGE
     from hybrid.report.viewers import writer_of
     from hybrid.robot import Robot
-    from hybrid.servo import without_torque
 
     for path in args.rerun:
         writer_of(path)  # refuses what cannot be written
@@ -89,14 +88,12 @@ def run(args: Namespace, screen: Screen) -> None:
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
     outputs = [args.out / name for name in (PAGE, CONTENT, SIMULATOR, MODEL)]
     how = options.begin(args, [*outputs, *args.rerun])
-    servo = without_torque(recordings)
-    options.check_servo(args, torque=not servo)
-    if servo and args.baseline:
-        raise HybridError("--baseline needs logs with torque; these have none")
-    if servo:
-        _diagnose_servos(args, robot, recordings, how, screen)
-    else:
+    if not servos.check_arguments(args, recordings):
         _diagnose_torque(args, robot, simulator, recordings, how, screen)
+    elif args.baseline:
+        raise HybridError("--baseline needs logs with torque; these have none")
+    else:
+        _diagnose_servos(args, robot, recordings, how, screen)
 
 
 def _diagnose_torque(
@@ -186,20 +183,16 @@ def _diagnose_servos(
     from hybrid.report.diagnosis import CONTENT, PAGE
     from hybrid.report.servo import write_servo_page
     from hybrid.report.viewers import scene_of_servos
-    from hybrid.servo import fit_servo
 
-    with screen.working(f"fitting the servos of {robot.name}") as tell:
-        how_to = {"known_mass": args.known_mass, "gpu": args.gpu}
-        found = fit_servo(robot, recordings, **how_to, progress=tell)
+    found = servos.fit(args, robot, recordings, screen)
     logs = [x for x in recordings if x.source in found.unseen] or list(recordings)
     replay = found.replayed(logs[0])
     with atomic_folder(args.out) as folder:
-        content = {**found.as_dict(), "provenance": how}
-        write_json(folder / CONTENT, content)
+        write_json(folder / CONTENT, {**found.as_dict(), "provenance": how})
         write_servo_page(folder / PAGE, found, replay, provenance=how)
         found.save(folder / SIMULATOR)
     options.write_record(args, how, found.as_dict())
-    show_servos(found, screen)
+    servos.show(found, screen)
     screen.say(f"Report: {args.out / PAGE}")
     screen.say(f"Simulator with what was found: {args.out / SIMULATOR}")
     _to_viewers(args, screen, lambda: scene_of_servos(robot, replay))

@@ -164,45 +164,6 @@ def robot_file(text: str) -> Path:
     return robot_file(text)
 
 
-def add_servo(parser: ArgumentParser) -> None:
-    """Add what only logs without torque take."""
-    parser.add_argument(
-        "--known-mass",
-        type=positions,
-        default={},
-        metavar="JOINT=KG",
-        help="mass of the link that a joint moves, which sets the scale of torques in "
-        "logs that have none (default: the file's masses)",
-    )
-    parser.add_argument(
-        "--gpu",
-        action="store_true",
-        help="replay logs that have no torque on a GPU, with JAX (same answer)",
-    )
-
-
-def check_servo(args: Namespace, *, torque: bool) -> None:
-    """Refuse a scale and a GPU where the logs need none, and a GPU that is not there.
-
-    Raises:
-        HybridError: One is given, and the logs have torque; or there is no GPU.
-    """
-    if args.gpu and torque:
-        raise HybridError(
-            "--gpu: these logs have torque, and nothing is replayed; valid is it with "
-            "logs of command and position only"
-        )
-    if args.gpu:
-        from hybrid.servo.accelerated import check_gpu
-
-        check_gpu()
-    if args.known_mass and torque:
-        raise HybridError(
-            "--known-mass: these logs have torque, which sets the scale; valid is it "
-            "with logs of command and position only"
-        )
-
-
 def positions(text: str) -> dict[str, float]:
     """Names with numbers, between commas."""
     found = {}

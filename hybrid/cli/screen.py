@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from hybrid.report import Table
-    from hybrid.servo import ServoFit
 
 _WIDTH_OF_A_FILE = 160
 _SHORT = 1.0  # s: a step of less is no line of a file
@@ -148,18 +147,6 @@ def words_table(
         # As Text, so that a bracket in a name is not taken for markup.
         table.add_row(*(Text(x) if isinstance(x, str) else x for x in row))
     return table
-
-
-def show_servos(found: ServoFit, screen: Screen) -> None:
-    """Show errors, what the file has wrong, and what is not known."""
-    from hybrid.report.servo import findings_table, gap_table, servos_table
-
-    for table in (gap_table(found), findings_table(found), servos_table(found)):
-        if table.rows:
-            screen.show_numbers(table)
-    for note in found.notes:
-        screen.say(f"Note: {note}.")
-    screen.say(found.sentence)
 
 
 def _console(*, stderr: bool = False) -> Console:

@@ -22,17 +22,17 @@ from hybrid.servo.model import (
     servo_spec,
     weight,
 )
+from hybrid.servo.noise import INEXACT
 from hybrid.servo.stretch import Stretch
 
 _HALVINGS = 4  # of the step, at most
-_MODELS = 64  # that are kept compiled
-_FINE = 0.03  # of what a replay misses: a law leaves out as much
-_STEP = 0.005  # s: at most, of the physics
+_MODELS = 64  # compiled models in the cache
+_STEP = 0.005  # s: longest step of the physics
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A stretch and servos, ready to be replayed."""
+    """One replay: a stretch and a model with its servos."""
 
     stretch: Stretch
     parts: int  # physics steps between two samples
@@ -43,12 +43,12 @@ class Run:
 
 
 class ServoSimulator:
-    """An arm with servos, replayed from the state in which a stretch begins.
+    """Open-loop replays of an arm with servos, from the first state of a stretch.
 
     Args:
         robot: The arm.
         step: Longest step of the physics, [s].
-        gpu: Replay on a GPU, but for servos of the robot file.
+        gpu: Replay on a GPU, except with the servos of the robot file.
 
     Raises:
         HybridError: A GPU is asked for, and none is there.
@@ -65,7 +65,7 @@ class ServoSimulator:
         self._weights: dict[tuple[Stretch, bytes], Array] = {}
 
     def with_step(self, step: float) -> ServoSimulator:
-        """The same with another longest step, [s]."""
+        """A copy with another longest step, [s]."""
         other = ServoSimulator(self.robot, step)
         other.roll = self.roll
         return other
@@ -73,14 +73,14 @@ class ServoSimulator:
     def replay(
         self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
     ) -> list[list[Array]]:
-        """Positions that servos make of commands.
+        """Replay every stretch with each of some servos.
 
         Args:
-            stretches: What is replayed.
-            drives: Servos to replay it with; None alone for those of the robot file.
+            stretches: Logs to replay.
+            drives: Servos; or only None, for those of the robot file.
 
         Returns:
-            For each drive and each stretch positions, shape (N, n), [rad].
+            Positions by drive and stretch, shape (N, n) each, [rad].
         """
         runs = self.runs(stretches, drives)
         roll = rolled if None in drives else self.roll
@@ -91,17 +91,16 @@ class ServoSimulator:
     def runs(
         self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
     ) -> list[Run]:
-        """Every stretch with each of some servos, made ready."""
+        """Prepare the replays of every stretch with each of some servos."""
         runs = []
         for drive in drives:
-            models: dict[float, Any] = {}  # one for all stretches of a step
+            models: dict[float, Any] = {}  # by step
             runs += [self._run(drive, stretch, models) for stretch in stretches]
         return runs
 
     def _run(
         self, drive: Drive | None, stretch: Stretch, models: dict[float, Any]
     ) -> Run:
-        """One stretch made ready."""
         parts = max(1, int(np.ceil(stretch.step / self._longest)))
         step, none = round(stretch.step / parts, 9), np.zeros(self.robot.size)
         if step not in models:
@@ -115,7 +114,6 @@ class ServoSimulator:
         return Run(stretch, parts, models[step], state, control, dead)
 
     def _seen(self, run: Run, moved: Array) -> Array:
-        """Positions at the times of the log, shape (N, n), [rad]."""
         after = moved[run.parts - 1 : len(run.control) : run.parts]
         return np.vstack([run.stretch.q[:1], after])
 
@@ -144,10 +142,7 @@ class ServoSimulator:
     def _state(
         self, model: Any, drive: Drive | None, stretch: Stretch, first: Array
     ) -> Array:
-        """Time, positions, speeds, and bristles that hold what servo and weight leave.
-
-        Of servos of the file there are no bristles.
-        """
+        """Time, positions, speeds, and bends of the bristles if there are any."""
         start = [np.zeros(1), stretch.q[0], stretch.v]
         if drive is not None:
             key = stretch, _turned(drive) + drive["mass"].tobytes()
@@ -158,15 +153,15 @@ class ServoSimulator:
 
 
 def _turned(drive: Drive | None) -> bytes:
-    """What a model is compiled for."""
+    """The parameters that need another compiled model."""
     return b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
 
 
 def rolled(runs: Sequence[Run]) -> Array:
-    """Positions after every step, shape (batch, steps, n), [rad].
+    """Replay on all cores: positions after each step, (batch, steps, n), [rad].
 
     Args:
-        runs: Stretches and servos.
+        runs: The replays.
     """
     import mujoco
     from mujoco import rollout
@@ -180,14 +175,14 @@ def rolled(runs: Sequence[Run]) -> Array:
     out = np.empty((len(runs), steps, states.shape[1]))
     which = dead.any(axis=1)
     plain, zoned = np.flatnonzero(~which).tolist(), np.flatnonzero(which).tolist()
-    with _quiet():  # a servo that is tried may be unstable
+    with _quiet():  # some servos are unstable
         if len(plain):
             own = [runs[i].model for i in plain]
             found, _ = rollout.rollout(own, data, states[plain], control[plain])
             out[plain] = found
         if not len(zoned):
             return out[..., 1 : 1 + n]
-        # MuJoCo's servo has no dead band: its goal is moved at every step instead.
+        # MuJoCo's servo has no dead band: we move its goal at every step instead.
         own, state, most = (
             [runs[i].model for i in zoned],
             states[zoned],
@@ -207,7 +202,7 @@ def rolled(runs: Sequence[Run]) -> Array:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Nothing that MuJoCo warns of is shown, or left in a file of its own."""
+    """Suppress the warnings of MuJoCo, and its log file."""
     import mujoco
 
     before = mujoco.get_mju_user_warning()
@@ -224,14 +219,14 @@ def converged(
     drive: Drive,
     floor: Array,
 ) -> ServoSimulator:
-    """Replays with the longest step that is fine enough.
+    """A simulator with the longest step at which replays have converged.
 
     Args:
         simulator: Replays with some step.
-        stretches: What is replayed.
-        drive: Servos like those that are sought.
-        floor: What a replay may be off by, shape (n,), [rad]; or by as little of what
-            it misses.
+        stretches: Logs to replay.
+        drive: Approximate servos.
+        floor: Error that a replay may have, shape (n,), [rad]. It may also have 3 % of
+            what it misses of the log.
     """
     steps = [_STEP / 2**k for k in range(_HALVINGS)]
     measured = np.concatenate([x.q for x in stretches])
@@ -242,7 +237,7 @@ def converged(
         if before is not None:
             off = np.sqrt(np.mean((after - before) ** 2, axis=0))
             miss = np.sqrt(np.mean((after - measured) ** 2, axis=0))
-            if (off <= np.maximum(floor, _FINE * miss)).all():
+            if (off <= np.maximum(floor, INEXACT * miss)).all():
                 return simulator.with_step(2 * step)
         before = after
     return simulator.with_step(steps[-1])
