@@ -18,7 +18,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive
-from hybrid.servo.simulator import ServoSimulator
+from hybrid.servo.simulator import ServoSimulator, missed
 from hybrid.servo.stretch import Stretch
 from hybrid.signals.filters import butterworth, central_difference
 
@@ -87,17 +87,14 @@ def best_start(
         declared: Servos of the file.
     """
     least = _LEAST * guess["stiffness"]
-    tried, errors = [], []
+    tried = []
     for delay in _DELAYS:
         tried.append(declared.at(delay=delay))
         damping = np.maximum(guess["damping"] - guess["stiffness"] * delay, least)
         for times in _STIFFER:
             own = {"stiffness": guess["stiffness"] * times, "damping": damping}
             tried.append(guess.at(delay=delay, **own))
-    for moved in simulator.replay(stretches, tried):
-        each = [q - x.q for q, x in zip(moved, stretches, strict=True)]
-        errors.append(np.mean(np.concatenate(each) ** 2, axis=0))
-    best = np.argmin(np.nan_to_num(np.array(errors), nan=np.inf), axis=0)
+    best = missed(simulator, stretches, tried).argmin(axis=0)
     values = [tried[k].values[:, j] for j, k in enumerate(best.tolist())]
     return Drive(np.stack(values, axis=1), guess.stall)
 
