@@ -104,7 +104,6 @@ def _diagnose_torque(
     how: dict[str, Any],
     screen: Screen,
 ) -> None:
-    """Diagnose, write report, numbers and simulator to a folder, and show."""
     import numpy as np
 
     from hybrid.diagnosis.advice.advise import advise
@@ -139,7 +138,7 @@ def _diagnose_torque(
 
 
 def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> None:
-    """Write what ``--rerun`` asks for; nothing if it cannot be simulated."""
+    """Write the files of ``--rerun``, or warn that the arm cannot be simulated."""
     from hybrid.report.viewers import writer_of
 
     if not args.rerun:
@@ -156,7 +155,7 @@ def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> 
 
 
 def _simulator(args: Namespace) -> Robot | DynamicModel:
-    """What the arm is compared with.
+    """Load the simulator or the model to compare with.
 
     Raises:
         HybridError: Neither a simulator nor a model is given, or both.
@@ -177,7 +176,6 @@ def _diagnose_servos(
     how: dict[str, Any],
     screen: Screen,
 ) -> None:
-    """Fit, write report, numbers and simulator to a folder, and show."""
     from hybrid.diagnosis.answer.fixed import SIMULATOR
     from hybrid.files import atomic_folder, write_json
     from hybrid.report.diagnosis import CONTENT, PAGE
@@ -205,12 +203,11 @@ def _few(notes: Sequence[str]) -> str:
 
 
 def _fix(result: Result, folder: Path, home: Path) -> tuple[str, ...] | None:
-    """Write the corrected simulator; nothing if it cannot be simulated."""
+    """Write the corrected simulator, or warn that it cannot be simulated."""
     from hybrid.diagnosis.answer.fixed import write_fixed
 
     try:
         return write_fixed(result, folder, home=home).notes
     except EffectError as error:
-        # A diagnosis is worth having without it.
         warnings.warn(f"no corrected simulator: {error}", HybridWarning, stacklevel=2)
         return None

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from hybrid.report import Table
 
-_WIDTH_OF_A_FILE = 160
-_SHORT = 1.0  # s: a step of less is no line of a file
-_GUESSED = 0.05  # of the work: what is left is not guessed before
+_WIDTH_OF_A_FILE = 160  # characters
+_SHORT = 1.0  # s: a shorter step gets no line of its own in a file
+_GUESSED = 0.05  # of the work: before, the remaining time is not shown
 
 
 class Screen:
@@ -67,7 +67,7 @@ class Screen:
         steps of less than a second.
 
         Yields:
-            Is told of each step.
+            A function that receives each step.
         """
         from rich.progress import Progress as Bar
         from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -117,7 +117,7 @@ class Screen:
 
 
 def _left(elapsed: float, done: float) -> str:
-    """How long the rest of the work takes, if it goes on as it began."""
+    """The remaining time, if the work goes on at the same rate."""
     if not _GUESSED <= done < 1.0:
         return ""
     return f" (about {elapsed * (1.0 - done) / done:.0f} s left)"
