@@ -246,6 +246,14 @@ def steady(goal: np.ndarray, start: np.ndarray, seconds: float = 3.0) -> Stretch
     return Stretch(1 / RATE, command, q, np.zeros(2))
 
 
+def test_a_clock_that_is_a_little_slow_takes_no_more_steps(robot):
+    whole = steady(np.zeros(2), np.zeros(2))
+    for step in (0.02, 0.02006):
+        (run,) = ServoSimulator(robot).runs([replace(whole, step=step)], [None])
+        assert run.parts == 4
+        assert run.model.opt.timestep == pytest.approx(step / 4)
+
+
 def test_a_servo_does_nothing_within_its_dead_band(robot):
     down, tipped = np.array([np.pi, 0.0]), np.array([np.pi + 0.08, 0.0])
     free = replay(robot, steady(tipped, down), coulomb=1e-3)

@@ -28,6 +28,7 @@ from hybrid.servo.stretch import Stretch
 _HALVINGS = 4  # of the step, at most
 _MODELS = 64  # compiled models in the cache
 _STEP = 0.005  # s: longest step of the physics
+_SPARE = 0.1  # steps: clocks are not exact, so that as much more takes no step more
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +102,7 @@ class ServoSimulator:
     def _run(
         self, drive: Drive | None, stretch: Stretch, models: dict[float, Any]
     ) -> Run:
-        parts = max(1, int(np.ceil(stretch.step / self._longest)))
+        parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
         step, none = round(stretch.step / parts, 9), np.zeros(self.robot.size)
         if step not in models:
             models[step] = self._model(drive, step)
