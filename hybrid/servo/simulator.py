@@ -174,31 +174,34 @@ def rolled(runs: Sequence[Run]) -> Array:
     threads = min(len(os.sched_getaffinity(0)), len(runs))
     data = [mujoco.MjData(runs[0].model) for _ in range(threads)]
     out = np.empty((len(runs), steps, states.shape[1]))
-    which = dead.any(axis=1)
-    plain, zoned = np.flatnonzero(~which).tolist(), np.flatnonzero(which).tolist()
     with _quiet():  # some servos are unstable
-        if len(plain):
-            own = [runs[i].model for i in plain]
-            found, _ = rollout.rollout(own, data, states[plain], control[plain])
-            out[plain] = found
-        if not len(zoned):
-            return out[..., 1 : 1 + n]
-        # MuJoCo's servo has no dead band: we move its goal at every step instead.
-        own, state, most = (
-            [runs[i].model for i in zoned],
-            states[zoned],
-            dead[zoned],
-        )
-        after = np.empty((len(zoned), 1, states.shape[1]))
-        with rollout.Rollout(nthread=threads) as roll:
-            for k in range(steps):
-                off = control[zoned, k] - state[:, 1 : 1 + n]
-                goal = (control[zoned, k] - np.clip(off, -most, most))[:, None]
-                roll.rollout(
-                    own, data, state, goal, nstep=1, state=after, skip_checks=True
-                )
-                state = out[zoned, k] = after[:, 0].copy()
+        for zoned in (False, True):
+            own = np.flatnonzero(dead.any(axis=1) == zoned)
+            models = [runs[i].model for i in own.tolist()]
+            if models and zoned:
+                out[own] = _stepped(models, data, states[own], control[own], dead[own])
+            elif models:
+                out[own], _ = rollout.rollout(models, data, states[own], control[own])
     return out[..., 1 : 1 + n]
+
+
+def _stepped(
+    models: list[Any], data: list[Any], state: Array, control: Array, dead: Array
+) -> Array:
+    """Replay servos with a dead band, which MuJoCo lacks: goals move at each step."""
+    from mujoco import rollout
+
+    out = np.empty((*control.shape[:2], state.shape[1]))
+    after, n = np.empty((len(models), 1, state.shape[1])), control.shape[2]
+    with rollout.Rollout(nthread=len(data)) as roll:
+        for k in range(control.shape[1]):
+            off = control[:, k] - state[:, 1 : 1 + n]
+            goal = (control[:, k] - np.clip(off, -dead, dead))[:, None]
+            roll.rollout(
+                models, data, state, goal, nstep=1, state=after, skip_checks=True
+            )
+            state = out[:, k] = after[:, 0].copy()
+    return out
 
 
 @contextmanager
