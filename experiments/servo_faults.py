@@ -61,10 +61,10 @@ def main() -> None:
         fit = fit_servo(robot, logs, without=struck)
         about |= {"joint": robot.joints[j], "said": outcome(fit, fault, j)}
         about["seconds"] = time.process_time() - start
-        cases.append(about | {"fit": fit.as_dict()})
-        how = provenance(
-            command=f"python experiments/servo_faults.py --seed {args.seed}"
-        )
+        told = {k: x for k, x in fit.as_dict().items() if k != "servos"}
+        cases.append(about | {"fit": told})
+        asked = f"--seed {args.seed}" + " --withheld" * args.withheld
+        how = provenance(command=f"python experiments/servo_faults.py {asked}")
         write_results(stored, {"cases": cases, "provenance": how})
         print(*about.values(), flush=True)
     with atomic_path(args.out / f"{name}.md") as path:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from arms import MODELS, public_arm
 
+from hybrid.dynamics.kinematics import frames
 from hybrid.errors import ExcitationError, HybridWarning, RobotError
 from hybrid.excitation import (
     Clearance,
@@ -18,7 +19,6 @@ from hybrid.excitation import (
 from hybrid.excitation.clearance import (
     closest_points,
     ends_in_world,
-    frames,
     point_change,
 )
 from hybrid.excitation.path import Path, uniform

@@ -23,7 +23,7 @@ from hybrid.servo.model import bristles, heights
 from hybrid.servo.noise import Noise, resolution
 from hybrid.servo.problem import Problem
 from hybrid.servo.search import Search
-from hybrid.servo.simulator import ServoSimulator, slowed
+from hybrid.servo.simulator import ServoSimulator, goals
 from hybrid.servo.start import first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.servo.write import write_servos
@@ -246,6 +246,14 @@ def steady(goal: np.ndarray, start: np.ndarray, seconds: float = 3.0) -> Stretch
     return Stretch(1 / RATE, command, q, np.zeros(2))
 
 
+def test_a_clock_that_is_a_little_slow_takes_no_more_steps(robot):
+    whole = steady(np.zeros(2), np.zeros(2))
+    for step in (0.02, 0.02006):
+        (run,) = ServoSimulator(robot).runs([replace(whole, step=step)], [None])
+        assert run.parts == 4
+        assert run.model.opt.timestep == pytest.approx(step / 4)
+
+
 def test_a_servo_does_nothing_within_its_dead_band(robot):
     down, tipped = np.array([np.pi, 0.0]), np.array([np.pi + 0.08, 0.0])
     free = replay(robot, steady(tipped, down), coulomb=1e-3)
@@ -292,18 +300,38 @@ def test_a_table_that_a_link_comes_down_on_is_found(robot):
     assert any("the written file has no ground" in x for x in fit.notes)
 
 
-def test_a_goal_moves_no_faster_than_its_pace(robot):
-    goal = np.array([0.6, -0.5])
-    slow = slowed(steady(goal, goal - 0.4), np.array([2.0, 0.0]))
-    assert (slow.command[:, 1] == goal[1]).all()
-    jump = replace(slow, command=np.vstack([goal - 0.4, slow.command[1:]]))
-    ramp = slowed(jump, np.array([2.0, 0.0])).command[:, 0]
-    assert np.diff(ramp).max() == pytest.approx(0.5 / RATE)
-    assert ramp[-1] == pytest.approx(goal[0])
-    # A joint that keeps to its pace anyway leaves the next one to its own.
-    calm = replace(jump, command=np.column_stack([0 * ramp, jump.command[:, 1]]))
-    both = slowed(calm, np.array([2.0, 2.0])).command
-    assert np.diff(both[:, 1]).max() == pytest.approx(0.5 / RATE)
+def test_a_goal_moves_no_faster_than_its_pace():
+    goal, none = np.array([0.6, -0.5]), np.zeros(2)
+    jump = steady(goal, goal - 0.4)
+    jump.command[0] -= 0.4
+    for parts in (1, 4):
+        ramp, other = goals(jump, none, np.array([2.0, 0.0]), parts).T
+        assert np.diff(ramp).max() == pytest.approx(0.5 / RATE / parts)
+        assert ramp[0] == pytest.approx(goal[0] - 0.4)
+        assert ramp[-1] == pytest.approx(goal[0])
+        assert (other[parts:] == goal[1]).all()
+
+
+@pytest.mark.parametrize("changed", [{"pace": 2.5}, {"delay": 0.3}])
+def test_a_part_of_a_log_starts_with_the_goals_that_the_whole_has_there(changed):
+    """A slow or late goal is still behind where a part begins."""
+    command = commands(0, 12.0)
+    whole = Stretch(1 / RATE, command, command, np.zeros(2))
+    law = {"delay": 0.0, "pace": 0.0} | changed
+    each = [np.full(2, law[name]) for name in ("delay", "pace")]
+    long, first = goals(whole, *each, 2), 400
+    short = goals(whole.cut(first, 100), *each, 2)
+    assert np.abs(short[0] - command[first]).max() > 0.02
+    np.testing.assert_allclose(short, long[2 * first :][: len(short)], atol=1e-9)
+
+
+def test_a_joint_that_counts_the_other_way_is_found(robot):
+    """Of two parallel axes either: both together mirror the arm, and it moves alike."""
+    way, logs = np.array([1.0, -1.0]), [log(k, 6.0) for k in range(3)]
+    logs = [replace(x, q=way * x.q, command=way * x.command) for x in logs]
+    fit = fit_servo(robot, logs)
+    assert [x.quantity for x in fit.findings] == ["sign"]
+    assert (fit.after < 4 * TICK).all()
 
 
 def test_axes_that_point_the_other_way_mirror_the_arm(robot):
@@ -359,7 +387,8 @@ def test_the_written_file_moves_as_the_servos_that_were_found(folder, tmp_path):
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
-    stretch = stretches_of([log(9, seconds=6.0)])[0]
+    # The file's delays are filled with the first command, as of an arm at rest.
+    stretch = replace(stretches_of([log(9, seconds=6.0)])[0], before=None)
     parts = round(stretch.step / model.opt.timestep)
     ours = ServoSimulator(fit.robot, step=model.opt.timestep)
     ((expected,),) = ours.replay([stretch], [fit.drive])

@@ -35,8 +35,8 @@ examples:
   hybrid calibrate --robot arm.urdf --poses poses.csv --out calibrated \\
       --free base,tool,geometry,compliance"""
 
-_CANDIDATES = 1000
-_FAR = 0.05  # m: no arm is that wrong
+_CANDIDATES = 1000  # random poses to choose from
+_FAR = 0.05  # m: a larger error means wrong units or columns
 
 
 def add_arguments(parser: ArgumentParser) -> None:

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen, show_servos
+from hybrid.cli import options, servos
+from hybrid.cli.screen import Screen
 from hybrid.errors import EffectError, HybridError, HybridWarning
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="HZ",
         help="cut-off of columns and torque (default: from the spectrum)",
     )
-    options.add_servo(parser)
+    servos.add_arguments(parser)
     parser.add_argument(
         "--rerun",
         type=Path,
@@ -80,7 +80,6 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.report.diagnosis import CONTENT, PAGE
     from hybrid.report.viewers import writer_of
     from hybrid.robot import Robot
-    from hybrid.servo import without_torque
 
     for path in args.rerun:
         writer_of(path)  # refuses what cannot be written
@@ -89,14 +88,12 @@ def run(args: Namespace, screen: Screen) -> None:
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
     outputs = [args.out / name for name in (PAGE, CONTENT, SIMULATOR, MODEL)]
     how = options.begin(args, [*outputs, *args.rerun])
-    servo = without_torque(recordings)
-    options.check_servo(args, torque=not servo)
-    if servo and args.baseline:
-        raise HybridError("--baseline needs logs with torque; these have none")
-    if servo:
-        _diagnose_servos(args, robot, recordings, how, screen)
-    else:
+    if not servos.check_arguments(args, recordings):
         _diagnose_torque(args, robot, simulator, recordings, how, screen)
+    elif args.baseline:
+        raise HybridError("--baseline needs logs with torque; these have none")
+    else:
+        _diagnose_servos(args, robot, recordings, how, screen)
 
 
 def _diagnose_torque(
@@ -107,7 +104,6 @@ def _diagnose_torque(
     how: dict[str, Any],
     screen: Screen,
 ) -> None:
-    """Diagnose, write report, numbers and simulator to a folder, and show."""
     import numpy as np
 
     from hybrid.diagnosis.advice.advise import advise
@@ -142,7 +138,7 @@ def _diagnose_torque(
 
 
 def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> None:
-    """Write what ``--rerun`` asks for; nothing if it cannot be simulated."""
+    """Write the files of ``--rerun``, or warn that the arm cannot be simulated."""
     from hybrid.report.viewers import writer_of
 
     if not args.rerun:
@@ -159,7 +155,7 @@ def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> 
 
 
 def _simulator(args: Namespace) -> Robot | DynamicModel:
-    """What the arm is compared with.
+    """Load the simulator or the model to compare with.
 
     Raises:
         HybridError: Neither a simulator nor a model is given, or both.
@@ -180,26 +176,21 @@ def _diagnose_servos(
     how: dict[str, Any],
     screen: Screen,
 ) -> None:
-    """Fit, write report, numbers and simulator to a folder, and show."""
     from hybrid.diagnosis.answer.fixed import SIMULATOR
     from hybrid.files import atomic_folder, write_json
     from hybrid.report.diagnosis import CONTENT, PAGE
     from hybrid.report.servo import write_servo_page
     from hybrid.report.viewers import scene_of_servos
-    from hybrid.servo import fit_servo
 
-    with screen.working(f"fitting the servos of {robot.name}") as tell:
-        how_to = {"known_mass": args.known_mass, "gpu": args.gpu}
-        found = fit_servo(robot, recordings, **how_to, progress=tell)
+    found = servos.fit(args, robot, recordings, screen)
     logs = [x for x in recordings if x.source in found.unseen] or list(recordings)
     replay = found.replayed(logs[0])
     with atomic_folder(args.out) as folder:
-        content = {**found.as_dict(), "provenance": how}
-        write_json(folder / CONTENT, content)
+        write_json(folder / CONTENT, {**found.as_dict(), "provenance": how})
         write_servo_page(folder / PAGE, found, replay, provenance=how)
         found.save(folder / SIMULATOR)
     options.write_record(args, how, found.as_dict())
-    show_servos(found, screen)
+    servos.show(found, screen)
     screen.say(f"Report: {args.out / PAGE}")
     screen.say(f"Simulator with what was found: {args.out / SIMULATOR}")
     _to_viewers(args, screen, lambda: scene_of_servos(robot, replay))
@@ -212,12 +203,11 @@ def _few(notes: Sequence[str]) -> str:
 
 
 def _fix(result: Result, folder: Path, home: Path) -> tuple[str, ...] | None:
-    """Write the corrected simulator; nothing if it cannot be simulated."""
+    """Write the corrected simulator, or warn that it cannot be simulated."""
     from hybrid.diagnosis.answer.fixed import write_fixed
 
     try:
         return write_fixed(result, folder, home=home).notes
     except EffectError as error:
-        # A diagnosis is worth having without it.
         warnings.warn(f"no corrected simulator: {error}", HybridWarning, stacklevel=2)
         return None

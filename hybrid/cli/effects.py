@@ -26,7 +26,12 @@ examples:
   hybrid effects stribeck --robot models/planar.xml
   hybrid effects --effects-from mine.py --json effects.json"""
 
-_ACTS_ON = {"joint": "the joint", "coupling": "these joints", "arm": "the arm"}
+# By scope: where an effect acts, how its sentence names that, and how it is asked for.
+_SCOPES = {
+    "joint": ("one joint", "the joint", ":JOINT"),
+    "coupling": ("several joints", "these joints", ":JOINT+JOINT"),
+    "arm": ("the whole arm", "the arm", ""),
+}
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -91,7 +96,8 @@ def _show_one(cls: type[Effect], screen: Screen) -> None:
     screen.say(_sentence(cls))
     screen.say(f"remedy: {cls.remedy}")
     screen.say(f"source: {cls.source}")
-    screen.say(f"port: {cls.port.value}; acts on: {_scope(cls)}")
+    acts_on, _, place = _SCOPES[cls.scope]
+    screen.say(f"port: {cls.port.value}; acts on: {acts_on}")
     kinds = [("gain", x) for x in cls.gains] + [("shape", x) for x in cls.shapes]
     rows = [
         (
@@ -106,13 +112,12 @@ def _show_one(cls: type[Effect], screen: Screen) -> None:
     ]
     header = ("parameter", "kind", "unit", "usual", "plausible", "in multiples of")
     screen.show(words_table(header, rows))
-    place = {"joint": ":JOINT", "coupling": ":JOINT+JOINT", "arm": ""}[cls.scope]
     value = kinds[0][1].name
     screen.say(f"--effects '{cls.id}{place}' or '{cls.id}{place}({value}=NUMBER)'")
 
 
 def _show_sizes(cls: type[Effect], robot: Robot, screen: Screen) -> None:
-    """What ``per`` comes to on an arm."""
+    """Show usual sizes at each joint of an arm, in SI units."""
     from hybrid.plant.scale import joint_scales
 
     rows = [
@@ -125,13 +130,8 @@ def _show_sizes(cls: type[Effect], robot: Robot, screen: Screen) -> None:
 
 
 def _sentence(cls: type[Effect]) -> str:
-    text = cls.sentence.replace("{joints}", _ACTS_ON[cls.scope])
+    text = cls.sentence.replace("{joints}", _SCOPES[cls.scope][1])
     return text[:1].upper() + text[1:]
-
-
-def _scope(cls: type[Effect]) -> str:
-    words = {"joint": "one joint", "coupling": "several joints", "arm": "the whole arm"}
-    return words[cls.scope]
 
 
 def _multiples(x: Quantity) -> str:

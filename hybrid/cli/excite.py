@@ -60,7 +60,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def _add_motion(parser: ArgumentParser) -> None:
-    """Arguments of what a motion is."""
     parser.add_argument("--family", choices=_FAMILIES, default="fourier")
     parser.add_argument("--trajectories", type=options.count, default=1, metavar="N")
     parser.add_argument(
@@ -89,7 +88,6 @@ def _add_motion(parser: ArgumentParser) -> None:
 
 
 def _add_limits(parser: ArgumentParser) -> None:
-    """Arguments of where a motion may go."""
     parser.add_argument(
         "--fill",
         type=options.positive,
@@ -201,7 +199,7 @@ def _family(args: Namespace) -> Any:
 
 
 def _criterion(name: str) -> Criterion | None:
-    """The criterion of that name; nothing for the default of the design."""
+    """The criterion of that name; None for the default."""
     from hybrid.excitation import Condition, DOptimal
 
     kinds: dict[str, type[Criterion]] = {"condition": Condition, "d": DOptimal}

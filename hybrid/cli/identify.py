@@ -6,8 +6,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen, show_servos
+from hybrid.cli import options, servos
+from hybrid.cli.screen import Screen
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="give the links parameters of bodies that could be built",
     )
-    options.add_servo(parser)
+    servos.add_arguments(parser)
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     options.add_common(parser)
 
@@ -83,14 +83,12 @@ def run(args: Namespace, screen: Screen) -> None:
     from hybrid.identification import identify
     from hybrid.identification.three_stage import STAGES
     from hybrid.report.fit import content_from_fit
-    from hybrid.servo import fit_servo, without_torque
 
     args.stages = args.stages or STAGES
     robot = options.load_robot(args)
     effects = options.load_effects(args.effects, robot)
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
-    servo = without_torque(recordings)
-    options.check_servo(args, torque=not servo)
+    servo = servos.check_arguments(args, recordings)
     if not servo and args.out.suffix != ".json":
         raise HybridError(f"{args.out}: a model is saved as .json")
     if servo and args.out.suffix.lower() not in (".xml", ".mjcf"):
@@ -100,10 +98,7 @@ def run(args: Namespace, screen: Screen) -> None:
         )
     how = options.begin(args, [args.out])
     if servo:
-        with screen.working(f"fitting the servos of {robot.name}") as tell:
-            how_to = {"known_mass": args.known_mass, "gpu": args.gpu}
-            found = fit_servo(robot, recordings, **how_to, progress=tell)
-        _save_servos(found, args, how, screen)
+        _save_servos(servos.fit(args, robot, recordings, screen), args, how, screen)
         return
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):
         fit = identify(
@@ -154,5 +149,5 @@ def _save_servos(
         )
     found.save(args.out)
     options.write_record(args, how, found.as_dict())
-    show_servos(found, screen)
+    servos.show(found, screen)
     screen.say(f"simulator: {args.out}")

@@ -1,4 +1,4 @@
-"""Arguments that several verbs share, and what they stand for."""
+"""Arguments that several verbs share, and functions that load what they name."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _NOT_SETTINGS = {
 
 
 class Parser(ArgumentParser):
-    """An argument parser whose complaint is one line that says what is valid."""
+    """An argument parser that reports an error as one line with what is valid."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, **options)
@@ -107,13 +107,13 @@ def read_logs(
     *,
     torque: bool = True,
 ) -> list[Recording]:
-    """The recordings of ``--recordings`` or ``--recording``, read by ``--map``.
+    """Read the logs of ``--recordings`` or ``--recording``.
 
     Args:
         args: Parsed arguments.
-        screen: Where progress is shown.
+        screen: Shows the progress.
         joints: Joint names of the robot, base to tip; None if not known.
-        torque: Refuse a log without torques.
+        torque: Refuse a log without torque.
     """
     from hybrid.recording import read, read_all
 
@@ -158,53 +158,14 @@ def names(text: str) -> tuple[str, ...]:
 
 
 def robot_file(text: str) -> Path:
-    """The file of a robot given by path or name."""
+    """Find the file of a robot by its path or name."""
     from hybrid.robot.library import robot_file
 
     return robot_file(text)
 
 
-def add_servo(parser: ArgumentParser) -> None:
-    """Add what only logs without torque take."""
-    parser.add_argument(
-        "--known-mass",
-        type=positions,
-        default={},
-        metavar="JOINT=KG",
-        help="mass of the link that a joint moves, which sets the scale of torques in "
-        "logs that have none (default: the file's masses)",
-    )
-    parser.add_argument(
-        "--gpu",
-        action="store_true",
-        help="replay logs that have no torque on a GPU, with JAX (same answer)",
-    )
-
-
-def check_servo(args: Namespace, *, torque: bool) -> None:
-    """Refuse a scale and a GPU where the logs need none, and a GPU that is not there.
-
-    Raises:
-        HybridError: One is given, and the logs have torque; or there is no GPU.
-    """
-    if args.gpu and torque:
-        raise HybridError(
-            "--gpu: these logs have torque, and nothing is replayed; valid is it with "
-            "logs of command and position only"
-        )
-    if args.gpu:
-        from hybrid.servo.accelerated import check_gpu
-
-        check_gpu()
-    if args.known_mass and torque:
-        raise HybridError(
-            "--known-mass: these logs have torque, which sets the scale; valid is it "
-            "with logs of command and position only"
-        )
-
-
 def positions(text: str) -> dict[str, float]:
-    """Names with numbers, between commas."""
+    """Names with numbers between commas, as ``A=0.3,B=1``."""
     found = {}
     for name, _, value in (part.partition("=") for part in names(text)):
         try:
@@ -259,7 +220,7 @@ def load_model(args: Namespace, path: Path) -> DynamicModel:
 
 
 def load_plant(args: Namespace) -> Plant:
-    """The arm to simulate, from a robot file or a truth, with ``--effects`` added."""
+    """Load the arm to simulate from a robot file or a truth, and add ``--effects``."""
     from dataclasses import replace
 
     from hybrid.plant import Plant, load_truth
@@ -274,7 +235,7 @@ def load_plant(args: Namespace) -> Plant:
     nominal, plant = load_truth(args.robot)
     args.inputs += dict.fromkeys([args.robot, Path(plant.robot.path)])
     effects = load_effects(args.effects, nominal)
-    # Without a servo, so that it is tuned to the arm with the new effects.
+    # servo=None: it is tuned to the arm with the new effects.
     return replace(plant, effects=(*plant.effects, *effects), servo=None)
 
 
@@ -313,9 +274,9 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -
 
 
 def begin(args: Namespace, outputs: Iterable[Path | None] = ()) -> dict[str, Any]:
-    """How a result comes about: versions, command, settings, hashes of its inputs.
+    """Check the outputs, and collect versions, command, settings and input hashes.
 
-    Inputs are what was loaded by the functions here.
+    The inputs are the files that functions of this module loaded.
 
     Raises:
         HybridError: An output cannot be written, see :func:`check_outputs`.
@@ -335,7 +296,7 @@ def begin(args: Namespace, outputs: Iterable[Path | None] = ()) -> dict[str, Any
 
 
 def sha256(path: Path) -> str:
-    """Hash of a file's content, or of those of all files in a folder."""
+    """Hash of a file, or of all files in a folder."""
     if path.is_dir():
         whole = hashlib.sha256()
         for part in sorted(x for x in path.rglob("*") if x.is_file()):

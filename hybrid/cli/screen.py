@@ -18,11 +18,10 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from hybrid.report import Table
-    from hybrid.servo import ServoFit
 
-_WIDTH_OF_A_FILE = 160
-_SHORT = 1.0  # s: a step of less is no line of a file
-_GUESSED = 0.05  # of the work: what is left is not guessed before
+_WIDTH_OF_A_FILE = 160  # characters
+_SHORT = 1.0  # s: a shorter step gets no line of its own in a file
+_GUESSED = 0.05  # of the work: before, the remaining time is not shown
 
 
 class Screen:
@@ -68,7 +67,7 @@ class Screen:
         steps of less than a second.
 
         Yields:
-            Is told of each step.
+            A function that receives each step.
         """
         from rich.progress import Progress as Bar
         from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -118,7 +117,7 @@ class Screen:
 
 
 def _left(elapsed: float, done: float) -> str:
-    """How long the rest of the work takes, if it goes on as it began."""
+    """The remaining time, if the work goes on at the same rate."""
     if not _GUESSED <= done < 1.0:
         return ""
     return f" (about {elapsed * (1.0 - done) / done:.0f} s left)"
@@ -148,18 +147,6 @@ def words_table(
         # As Text, so that a bracket in a name is not taken for markup.
         table.add_row(*(Text(x) if isinstance(x, str) else x for x in row))
     return table
-
-
-def show_servos(found: ServoFit, screen: Screen) -> None:
-    """Show errors, what the file has wrong, and what is not known."""
-    from hybrid.report.servo import findings_table, gap_table, servos_table
-
-    for table in (gap_table(found), findings_table(found), servos_table(found)):
-        if table.rows:
-            screen.show_numbers(table)
-    for note in found.notes:
-        screen.say(f"Note: {note}.")
-    screen.say(found.sentence)
 
 
 def _console(*, stderr: bool = False) -> Console:

@@ -104,6 +104,34 @@ def _turn(chain: Chain, k: int, q: Array, x: Array) -> Array:
     return out
 
 
+def frames(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
+    """Orientation, origin and joint axis of each link in the base frame.
+
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+
+    Returns:
+        Shapes (n, N, 3, 3), (n, N, 3) and (n, N, 3).
+    """
+    from scipy.spatial.transform import Rotation
+
+    count = len(q)
+    R, p = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+    out: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
+    for k in range(chain.size):
+        p = p + R @ chain.translation[k]
+        R = R @ chain.rotation[k]
+        axis = R @ chain.axis[k]
+        if chain.revolute[k]:
+            R = R @ Rotation.from_rotvec(q[:, k, None] * chain.axis[k]).as_matrix()
+        else:
+            p = p + axis * q[:, k, None]
+        for items, x in zip(out, (R, p, axis), strict=True):
+            items.append(x)
+    return np.stack(out[0]), np.stack(out[1]), np.stack(out[2])
+
+
 def rotation_terms(chain: Chain, k: int) -> tuple[Array, Array, Array]:
     """Matrices A, B and C, shape (3, 3) each, with R(q) = A + B·sin q + C·cos q.
 

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
+from hybrid.dynamics.kinematics import frames
 from hybrid.errors import HybridWarning
 from hybrid.excitation.constraints import Index, Limits
 from hybrid.excitation.path import Path
@@ -185,32 +185,6 @@ class Floor:
         link, out = self.capsules.link[capsule], np.zeros((len(which), 4, chain.size))
         out[:, 0] = point_change(chain, path.q, link, point, down) / _LENGTH
         return out
-
-
-def frames(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
-    """Orientation, origin and joint axis of each link in the base frame.
-
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-
-    Returns:
-        Shapes (n, N, 3, 3), (n, N, 3) and (n, N, 3).
-    """
-    count = len(q)
-    R, p = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
-    out: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
-    for k in range(chain.size):
-        p = p + R @ chain.translation[k]
-        R = R @ chain.rotation[k]
-        axis = R @ chain.axis[k]
-        if chain.revolute[k]:
-            R = R @ Rotation.from_rotvec(q[:, k, None] * chain.axis[k]).as_matrix()
-        else:
-            p = p + axis * q[:, k, None]
-        for items, x in zip(out, (R, p, axis), strict=True):
-            items.append(x)
-    return np.stack(out[0]), np.stack(out[1]), np.stack(out[2])
 
 
 def ends_in_world(chain: Chain, capsules: Capsules, q: Array) -> Array:

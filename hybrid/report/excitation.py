@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.dynamics.kinematics import frames
 from hybrid.errors import RobotError
-from hybrid.excitation.clearance import ends_in_world, frames
+from hybrid.excitation.clearance import ends_in_world
 from hybrid.names import figure_text
 from hybrid.report.style import (
     BLUE,

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.replay import simulated_positions
+from hybrid.dynamics.kinematics import frames
 from hybrid.errors import HybridError, RobotError
-from hybrid.excitation.clearance import frames
 from hybrid.extras import check_extra
 from hybrid.files import atomic_path
 from hybrid.report.diagnosis_data import continuous_time

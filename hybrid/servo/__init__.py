@@ -1,4 +1,4 @@
-"""Arms that log command and position only: the simulator's servo, fitted by replay."""
+"""Fit the position servos of an arm to logs of command and position, by replay."""
 
 from hybrid.servo.drive import Drive
 from hybrid.servo.fit import fit_servo

@@ -1,19 +1,18 @@
-"""A position servo at every joint, in the numbers that a simulator has for it.
+"""The position servo of every joint, in the parameters of a simulator.
 
     τ = clip(k (c(t − d) − q) − b_s q̇, ± τ_s) − (b − b_s) q̇ − f + τ₀
 
-with command c, delay d, the servo's share b_s of damping b, and bristles (LuGre) for
-the friction f:
+with command c, delay d, damping b of which the servo has the share b_s, stall torque
+τ_s, and friction f by the LuGre model, whose bristles bend by z:
 
     ż = q̇ − σ |q̇| z / g(q̇),   f = σ z + σ₁ ż,   g = F_c + (F_s − F_c) e^−(q̇/v_s)²
 
-The servo ignores errors within a dead band; its goal moves by no more than a rad in the
-time of the pace; stops are at ``lower`` and ``upper``; a spring holds the joint; the
-link's mass is a multiple of the file's, and the axis may point the other way. A link is
-a ball about its centre of mass where it touches the ground, at a height of the centre
-that is to be found. Backlash
-between a stiff motor and an encoder on the link shows as a dead band: motion does not
-tell them apart.
+The servo ignores position errors within a dead band. Its goal takes at least a time
+``pace`` for a rad. ``lower`` and ``upper`` are the stops of the joint. A spring pulls
+the joint to its zero. ``mass`` is the mass of the link over that of the file. ``sign``
+is −1 if the axis points the other way. ``ground`` is the height of a centre of mass
+when the link touches the ground. Backlash between a stiff motor and an encoder on the
+link looks like a dead band: motion does not tell them apart.
 
 Sources: Canudas de Wit et al. 1995, doi 10.1109/9.376053 (friction).
 """
@@ -30,28 +29,27 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot import Robot
 
-_FAR = 20.0  # logarithm of a number in SI units that no servo has
-_PRESLIDING = 1e-3  # rad: how far bristles bend before a joint breaks loose, mostly
-_FREE = 100.0  # rad: where the stops of a joint without stops are
-_LITTLE = 1e-4  # of a torque: what stands for none where a logarithm is fitted
+_FAR = 20.0  # logarithm of a value in SI units that no servo reaches
+_PRESLIDING = 1e-3  # rad: usual bend of the bristles before a joint slides
+_FREE = 100.0  # rad: stops of a joint whose file has none
+_LITTLE = 1e-4  # of the stall torque: stands for zero, which has no logarithm
 
 
 @dataclass(frozen=True)
 class DriveQuantity:
-    """One number of every servo, and what is known of it before a log is seen.
+    """One parameter of a servo, and its prior.
 
     Attributes:
         name: Standard term.
         unit: SI unit.
-        effect: Effect of the library that a wrong value is.
+        effect: Effect of the library that is reported if the file has a wrong value.
         spread: Prior standard deviation: of the logarithm for a positive number, else
             in multiples of ``per``.
         per: ``torque`` for multiples of the stall torque; else plain SI.
-        positive: Whether the number is above zero, and its logarithm is fitted.
-        least: Smallest value. Of presliding it is what a step of the replay resolves:
-            stiffer bristles are unstable.
-        shared: Whether it moves other joints as much as its own.
-        unsaid: Whether MJCF has no place for it.
+        positive: Whether the value is above zero. Then its logarithm is fitted.
+        least: Smallest value. A presliding below it is unstable in a replay.
+        shared: Whether it changes the motion of other joints as much as of its own.
+        unsaid: Whether MJCF cannot express it.
     """
 
     name: str
@@ -84,7 +82,7 @@ QUANTITIES = (
     DriveQuantity("upper", "rad", "contact", 0.5, "", False),
     DriveQuantity("mass", "", "payload", 0.3, shared=True),
     DriveQuantity("ground", "m", "contact", 0.2, "", False, shared=True),
-    DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0),
+    DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0, shared=True),
 )
 NAMES = tuple(x.name for x in QUANTITIES)
 PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")
@@ -92,11 +90,11 @@ PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Servos of an arm of n joints.
+    """Servo parameters of an arm of n joints.
 
     Attributes:
         values: Value of each quantity, shape (len(QUANTITIES), n), in SI units.
-        stall: Torque in which some spreads are stated, shape (n,), [N·m].
+        stall: Stall torque of the file, the unit of some priors, shape (n,), [N·m].
     """
 
     values: Array
@@ -107,7 +105,7 @@ class Drive:
         return np.asarray(self.values[NAMES.index(name)])
 
     def at(self, **changed: Any) -> Drive:
-        """The same with other values of some quantities, (n,) or one for all."""
+        """A copy with other values of some quantities, (n,) or scalars."""
         values = self.values.copy()
         for name, x in changed.items():
             values[NAMES.index(name)] = x
@@ -115,12 +113,12 @@ class Drive:
 
     @property
     def bristle(self) -> Array:
-        """Stiffness σ of a joint before it breaks loose, shape (n,), [N·m/rad]."""
+        """Stiffness σ of the bristles, shape (n,), [N·m/rad]."""
         return np.asarray(self["coulomb"] / self["presliding"])
 
     @property
     def spread(self) -> Array:
-        """Prior standard deviations of the coordinates, (len(QUANTITIES), n)."""
+        """Prior standard deviations of the coordinates, shape (len(QUANTITIES), n)."""
         ones = np.ones_like(self.stall)
         return np.array(
             [x.spread * (self.stall if x.per == "torque" else ones) for x in QUANTITIES]
@@ -128,12 +126,12 @@ class Drive:
 
     @property
     def coordinates(self) -> Array:
-        """What is fitted: logarithms of positive numbers, (len(QUANTITIES), n)."""
+        """Values to fit, logarithms of positive ones, shape (len(QUANTITIES), n)."""
         rows = zip(QUANTITIES, self.values, strict=True)
         return np.array([np.log(x) if each.positive else x for each, x in rows])
 
     def moved(self, coordinates: Array) -> Drive:
-        """Servos at other coordinates."""
+        """A copy with other coordinates."""
         rows = zip(QUANTITIES, coordinates, strict=True)
         values = [
             np.maximum(np.exp(np.clip(x, -_FAR, _FAR)) if q.positive else x, q.least)
@@ -143,7 +141,7 @@ class Drive:
 
     @classmethod
     def declared(cls, robot: Robot) -> Drive:
-        """Servos as a robot file states them; usual ones where it states none.
+        """The servos of a robot file, with usual values where it states none.
 
         Args:
             robot: The arm.
@@ -176,17 +174,16 @@ class Drive:
 
 
 def known_masses(robot: Robot, known: Mapping[str, float]) -> Array:
-    """Masses of links over those of the file, shape (n,).
+    """Masses of the links over those of the file, shape (n,).
 
-    A link whose mass is known has it; all others are off by as much, the geometric mean
-    if several are known.
+    Known links have their own ratio, all others the geometric mean of these.
 
     Args:
         robot: The arm.
         known: Mass of the link that a joint moves, by the joint's name, [kg].
 
     Raises:
-        RobotError: No joint has the name, or its link has no mass in the file.
+        RobotError: No joint has that name, or its link has no mass in the file.
     """
     ratio = np.full(robot.size, np.nan)
     for name, mass in known.items():
@@ -209,7 +206,7 @@ def known_masses(robot: Robot, known: Mapping[str, float]) -> Array:
 
 
 def _reach(robot: Robot) -> Array:
-    """How far links' centres of mass get from the base at most, shape (n,), [m]."""
+    """Upper bound of the distance of each centre of mass from the base, (n,), [m]."""
     chain = robot.chain
     ends = np.nan_to_num([robot.q_min, robot.q_max], posinf=0.0, neginf=0.0)
     slides = np.where(chain.revolute, 0.0, np.abs(ends).max(axis=0))
@@ -224,7 +221,7 @@ def centres(robot: Robot) -> Array:
 
 
 def _usual(robot: Robot) -> Array:
-    """Stall torques that hold the arm against gravity with room, (n,), [N·m]."""
+    """Three times the largest possible gravity torque, shape (n,), [N·m]."""
     chain = robot.chain
     reach = np.linalg.norm(chain.translation, axis=1)
     beyond = np.cumsum(reach[::-1])[::-1] + 0.1

@@ -1,7 +1,8 @@
-"""Servos fitted to logs of command and position by replays.
+"""Fit servos to logs of command and position by replays.
 
-Explanations compete by their evidence, see :mod:`hybrid.servo.search`. A number of the
-file is wrong with probability 1/(1 + e^−l), where l is the evidence lost with it back.
+Explanations compete by their evidence, see :mod:`hybrid.servo.search`. A parameter of
+the file is wrong with probability 1/(1 + e^−l), where l is the evidence lost if it goes
+back to the file.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.threads import one_thread
 
-_SECONDS, _EACH = 60.0, 5.0  # s of motion to fit, and of a part of it
-_TURNS = 20  # Gauss–Newton steps of a plain fit
-_LAST = 2  # of the fit of all parts of the logs
-_WEIGHED = 120.0  # s of other motion, on which explanations and numbers are weighed
-_UNSEEN = 4  # one recording in so many is kept aside
-_TAIL = 0.3  # of a single recording is kept aside
-_STILL = 3.0  # steps of the encoder: a joint that goes less far rests
+_SECONDS, _EACH = 60.0, 5.0  # s: motion to fit, and length of its parts
+_TURNS = 20  # Gauss–Newton steps of the plain fit
+_LAST = 2  # Gauss–Newton steps of the fit to all parts of the logs
+_WEIGHED = 120.0  # s: motion set aside in the search
+_UNSEEN = 4  # one recording in four is held out
+_TAIL = 0.3  # of one or two recordings, this share is held out
+_STILL = 3.0  # steps of the encoder: a joint with a smaller range rests
 
 
 @one_thread
@@ -50,22 +51,22 @@ def fit_servo(
 ) -> ServoFit:
     """Fit the servos of an arm to logs of command and position.
 
-    Whole recordings are kept aside and replayed at the end; of one or two recordings,
+    Whole recordings are held out and replayed at the end; of one or two recordings,
     their last third.
 
     Args:
-        robot: The arm; its servos are where the prior is.
+        robot: The arm; its servos are the prior.
         recordings: Logs with command; torque is not used.
         known_mass: Mass of the link that a joint moves, by the joint's name, [kg]. It
             sets the scale of all torques: without one that is the file's masses.
-        without: Numbers known to be right: index of the quantity, and of the joint.
+        without: Parameters known to be right: index of the quantity, and of the joint.
         gpu: Replay on a GPU.
-        progress: Is told what is done.
+        progress: Receives each step.
 
     Raises:
         HybridError: A GPU is asked for, and none is there.
         RecordingError: A log has no command, or no joint moves.
-        RobotError: A mass is known of a link that is not there.
+        RobotError: The link of a known mass does not exist.
     """
     known, simulator = known_mass or {}, ServoSimulator(robot, gpu=gpu)
     prior = Drive.declared(robot).at(mass=known_masses(robot, known))
@@ -93,7 +94,7 @@ def _result(
     best: Explanation,
     unseen: Sequence[Stretch],
 ) -> ServoFit:
-    """What was found, fitted to all parts of the logs, and weighed on unseen motion."""
+    """Fit the result to all parts of the logs, and replay the held-out motion."""
     plain, found, written = (
         problem.fitted(problem.at(x.found.x, x.found.free), None, _LAST)
         for x in (search.plain, best, _written(search, best))
@@ -126,7 +127,7 @@ def _result(
 
 
 def _plain(problem: Problem, start: Array, allowed: NDArray[np.bool_]) -> Estimate:
-    """Stiffness, damping, friction, rotor, offset and delay of every servo."""
+    """Fit stiffness, damping, friction, rotor, offset and delay of every servo."""
     x = np.where(allowed, start, problem.prior.coordinates)
     free = np.isin(NAMES, PLAIN)[:, None] & allowed
     return problem.fitted(problem.at(x, free), None, _TURNS)
@@ -135,7 +136,7 @@ def _plain(problem: Problem, start: Array, allowed: NDArray[np.bool_]) -> Estima
 def _problem(
     simulator: ServoSimulator, logs: Sequence[Stretch], prior: Drive
 ) -> tuple[Problem, Array]:
-    """Logs to be replayed, and coordinates from which a plain fit starts."""
+    """The logs to fit, and the coordinates from which the plain fit starts."""
     robot, floor = simulator.robot, resolution(logs)
     travel = np.array([np.ptp(x.q, axis=0) for x in logs]).max(axis=0)
     resting = travel < np.maximum(_STILL * np.sqrt(12.0) * floor, 1e-3)
@@ -159,7 +160,7 @@ def _problem(
 
 
 def _written(search: Search, best: Explanation) -> Explanation:
-    """The most probable servos of those that MJCF has a place for."""
+    """The most probable servos that MJCF can express."""
     unsaid = np.array([x.unsaid for x in QUANTITIES])[:, None]
     if not (best.causes & unsaid).any():
         return best
@@ -168,7 +169,7 @@ def _written(search: Search, best: Explanation) -> Explanation:
 
 
 def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
-    """What is fitted, and what is kept aside."""
+    """Logs to fit, and logs to hold out."""
     if len(logs) >= 3:
         unseen = logs[_UNSEEN // 2 :: _UNSEEN]
         return [x for x in logs if x not in unseen], unseen
@@ -184,7 +185,7 @@ def _findings(
     std: Array,
     unseen: Sequence[Stretch],
 ) -> tuple[ServoFinding, ...]:
-    """Numbers without which the logs are less probable, by what they are worth."""
+    """The causes, ordered by what they are worth on held-out motion."""
     x, prior, findings = best.found.x, problem.prior, []
     places = np.argwhere(best.causes).tolist()
     alone = [x.copy() for _ in places]
@@ -215,7 +216,7 @@ def _findings(
 
 
 def _unsaid(robot: Robot, drive: Drive, after: Array, written: Array) -> list[str]:
-    """What a written file leaves out, and what that costs on unseen motion."""
+    """What the written file cannot express, and what that costs on held-out motion."""
     less = [
         f"{1000 * x:.1f} instead of {1000 * y:.1f}"
         for x, y in zip(written, after, strict=True)

@@ -1,4 +1,4 @@
-"""An arm in MuJoCo with servos: each a DC motor behind a position controller."""
+"""The MuJoCo model of an arm with servos: DC motors behind position controllers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.dynamics.kinematics import frames
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive, centres
 from hybrid.servo.stretch import Stretch
@@ -14,15 +15,15 @@ from hybrid.servo.stretch import Stretch
 if TYPE_CHECKING:
     import mujoco
 
-# N·m/A and Ω: so small a constant that speed takes nothing off the torque at the limit.
+# N·m/A and Ω: the constant is so small that speed does not reduce the stall torque.
 _CONSTANT, _RESISTANCE = 1e-3, 1.0
-_SOFT = 1e-6  # N·m/rad
-_BELOW = 1e-3  # m: the least radius of a ball about a centre of mass
-_CREEPS = 0.05  # rad/s: below, friction holds a joint
+_SOFT = 1e-6  # N·m/rad: a spring whose torque does not change with position
+_BELOW = 1e-3  # m: smallest radius of the ball about a centre of mass
+_CREEPS = 0.05  # rad/s: static friction holds slower joints
 
 
 def file_step(robot: Robot) -> float:
-    """Step with which the file's simulation runs, or MuJoCo's usual one, [s]."""
+    """Time step of the file, or the default of MuJoCo, [s]."""
     return float(robot.timestep) if np.isfinite(robot.timestep) else 0.002
 
 
@@ -33,7 +34,7 @@ def servo_spec(
 
     Args:
         robot: The arm.
-        zero: Position of the file where the log says zero, shape (n,), [rad].
+        zero: Position in the file at the zero of the log, shape (n,), [rad].
         sign: −1 for axes that point the other way, shape (n,).
     """
     import mujoco
@@ -44,7 +45,7 @@ def servo_spec(
         own = spec.joint(joint)
         own.ref, own.axis = -float(shift), float(way) * np.array(own.axis)
         own.limited, own.range = True, np.array([-1.0, 1.0])
-        # Any values: they are set in the compiled model.
+        # Placeholders: :func:`install` sets the values in the compiled model.
         _actuator(spec, joint).set_to_dcmotor(
             motorconst=[_CONSTANT, _CONSTANT],
             resistance=_RESISTANCE,
@@ -57,7 +58,7 @@ def servo_spec(
 
 
 def declared_spec(robot: Robot) -> mujoco.MjSpec:
-    """An arm with the position servos that its file declares, or usual ones."""
+    """An arm with the position servos of its file, or usual ones."""
     spec, drive = robot.mujoco_spec(), Drive.declared(robot)
     servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
     for j, joint in enumerate(robot.joints):
@@ -77,10 +78,11 @@ def _actuator(spec: Any, joint: str) -> Any:
 
 
 def lay_ground(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Give an arm with weight a ground, lower than it reaches, and links a ball each.
+    """Add a ground plane below the reach of the arm, and a ball to each link.
 
-    The ball about a link's centre of mass is as large as the ground is far below the
-    height at which the centre is when the link touches: see :func:`install`.
+    The ball is about the centre of mass. Its radius is the height of the centre above
+    the plane when the link touches the real ground: see :func:`install`. An arm without
+    gravity gets none.
     """
     import mujoco
     from scipy.spatial.transform import Rotation
@@ -109,30 +111,19 @@ def _level(robot: Robot) -> float:
 
 
 def heights(robot: Robot, q: Array) -> Array:
-    """Heights of links' centres of mass above the base, shape (N, n), [m].
+    """Heights of the centres of mass above the base, shape (N, n), [m].
 
     Args:
         robot: The arm.
         q: Positions, shape (N, n), [rad].
     """
-    from scipy.spatial.transform import Rotation
-
-    chain, up, out = robot.chain, _up(robot), []
-    turn, place = Rotation.identity(len(q)), np.zeros((len(q), 3))
-    for k, centre in enumerate(centres(robot)):
-        place = place + turn.apply(chain.translation[k])
-        turn = turn * Rotation.from_matrix(chain.rotation[k])
-        moved = q[:, k, None] * chain.axis[k]
-        if chain.revolute[k]:
-            turn = turn * Rotation.from_rotvec(moved)
-        else:
-            place = place + turn.apply(moved)
-        out.append((place + turn.apply(centre)) @ up)
-    return np.stack(out, axis=1)
+    R, origin, _ = frames(robot.chain, q)
+    centre = origin + np.einsum("kNij,kj->kNi", R, centres(robot))
+    return np.asarray((centre @ _up(robot)).T)
 
 
 def install(model: Any, robot: Robot, drive: Drive) -> None:
-    """Set the numbers of servos in a compiled model, joints in the order of the arm.
+    """Set the servo parameters in a compiled model.
 
     Args:
         model: MuJoCo model with a dcmotor at every joint.
@@ -160,21 +151,21 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
 
 
 def motors(robot: Robot, drive: Drive) -> dict[str, Array]:
-    """MuJoCo's parameters of a DC motor behind a position controller, (n, ·) each."""
+    """Parameters of MuJoCo's DC motors with position controllers, (n, ·) each."""
     gain, bias, dyn = (np.zeros((robot.size, k)) for k in (8, 6, 7))
     gain[:, 0], gain[:, 1], gain[:, 4] = _RESISTANCE, _CONSTANT, drive["stiffness"]
     gain[:, 6], gain[:, 7] = dampings(robot, drive)[0], drive["stall"] / _CONSTANT
     bias[:, 3], bias[:, 5] = drive["coulomb"], drive["stribeck_speed"]
     bias[:, 4] = drive["coulomb"] + drive["stiction"]
-    # With this damping a rotor on bristles comes to rest.
+    # With this damping the rotor on its bristles comes to rest.
     dyn[:, 5], dyn[:, 6] = drive.bristle, np.sqrt(drive.bristle * drive["armature"])
     return {"gainprm": gain, "biasprm": bias, "dynprm": dyn}
 
 
 def dampings(robot: Robot, drive: Drive) -> tuple[Array, Array]:
-    """Damping of servos and of joints, (n,) each: shares as in the file.
+    """Damping of the servos and of the joints, (n,) each, in the ratio of the file.
 
-    Motion tells them apart only where a servo is at its limit.
+    Motion tells them apart only at the torque limit.
     """
     servo = np.nan_to_num(robot.kd)
     share = servo / np.maximum(servo + robot.damping, 1e-12)
@@ -182,7 +173,7 @@ def dampings(robot: Robot, drive: Drive) -> tuple[Array, Array]:
 
 
 def stops(drive: Drive) -> Array:
-    """Range of every joint as the log counts, shape (n, 2), [rad]."""
+    """Range of every joint in the positions of the log, shape (n, 2), [rad]."""
     ends = np.stack([drive["lower"], drive["upper"]]) * drive["sign"]
     return np.asarray((np.sort(ends, axis=0) - drive["zero"]).T)
 
@@ -190,8 +181,8 @@ def stops(drive: Drive) -> Array:
 def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
     """Stiffness [N·m/rad] and relaxed position [rad] of every joint's spring, (n,).
 
-    An offset of torque is a spring so soft that its torque does not change, or shifts
-    the one that the file declares.
+    A torque offset is a very soft spring with a distant relaxed position, or shifts
+    that of the spring in the file.
     """
     stiffness = np.maximum(robot.stiffness, _SOFT) + drive["spring"]
     relaxed = drive["sign"] * robot.springref - drive["zero"]
@@ -199,7 +190,7 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
 
 
 def weight(model: Any, q: Array, v: Array) -> Array:
-    """Torque of gravity and of speed in a compiled model, shape (n,), [N·m]."""
+    """Gravity, centrifugal and Coriolis torque of a model, shape (n,), [N·m]."""
     import mujoco
 
     data = mujoco.MjData(model)
@@ -209,7 +200,10 @@ def weight(model: Any, q: Array, v: Array) -> Array:
 
 
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:
-    """Deflections that hold what servo and weight leave, shape (n,), [rad]."""
+    """Bend of the bristles at the first sample, shape (n,), [rad].
+
+    A slow joint is at rest: friction balances servo and weight. A fast one slides.
+    """
     off = first - stretch.q[0]
     pull = drive["stiffness"] * (
         off - np.clip(off, -drive["dead_band"], drive["dead_band"])

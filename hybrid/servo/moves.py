@@ -1,7 +1,7 @@
-"""Numbers that promise to explain more, by secants of replays.
+"""Rank the parameters by the evidence that each would add, by linear extrapolation.
 
-Errors are taken to change along the straight line from a replay to one with the number
-changed; what else is free or known but roughly makes up for it as far as it can.
+Each parameter is changed once. Replay errors are assumed to change linearly between the
+two replays, and the other parameters of the joint are adapted by linear least squares.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from hybrid.servo.drive import NAMES, QUANTITIES
 from hybrid.servo.evidence import COST, Curvature
 from hybrid.servo.problem import SHARED, Estimate, Problem
 
-_LARGEST = 1.5  # of a probe's change
-_WHOLE = ("sign", "ground")  # that a part of the change tells nothing of
-_DEEPER = (0.0, 0.01, 0.02)  # m: links are no balls, and touch a little higher or lower
+_LARGEST = 1.5  # largest extrapolation, in changes of a probe
+_WHOLE = ("sign", "ground")  # not linear: only the whole change makes sense
+_DEEPER = (0.0, 0.01, 0.02)  # m: links are no balls and touch higher or lower
 
 
 @dataclass(frozen=True)
 class Move:
-    """A number that may differ, by a secant.
+    """A parameter that may be wrong, and what its linear fit promises.
 
     Attributes:
-        k: Quantity.
-        j: Joint.
-        gain: Of evidence, if all is linear, [nats].
-        x: Coordinates where a fit starts, shape (len(QUANTITIES), n).
+        k: Index of the quantity.
+        j: Index of the joint.
+        gain: Evidence gained by the linear fit, [nats].
+        x: Coordinates at the linear fit, shape (len(QUANTITIES), n).
     """
 
     k: int
@@ -42,16 +42,16 @@ class Move:
 def probed(
     problem: Problem, x: Array, open_: NDArray[np.bool_], hint: Array
 ) -> tuple[list[Array], list[Array]]:
-    """Changes of one number at all joints or at one, and what replays miss then.
+    """Change one quantity at a time, at all joints or at one, and replay.
 
     Args:
         problem: The logs.
-        x: Coordinates about which numbers are changed, shape (len(QUANTITIES), n).
-        open_: Numbers that may differ, of that shape.
-        hint: Coordinates that may hold, of that shape.
+        x: Coordinates before the change, shape (len(QUANTITIES), n).
+        open_: Parameters that may differ, same shape.
+        hint: Coordinates of another fit, tried as well, same shape.
 
     Returns:
-        Changes, of that shape each, and errors, shape (M, n) each, [rad].
+        Changes of the coordinates, and replay errors, shape (M, n) each, [rad].
     """
     changes = []
     for name, usual in _usual_changes(problem, x, hint).items():
@@ -73,7 +73,7 @@ def promising(
     changes: Sequence[Array],
     errors: Sequence[Array],
 ) -> list[Move]:
-    """Numbers that promise a gain by what was probed, each once, the best first."""
+    """Parameters with a positive gain, each once, the best first."""
     best: dict[tuple[int, int], Move] = {}
     for change, after in zip(changes, errors, strict=True):
         for k, j in np.argwhere(change).tolist():
@@ -90,7 +90,7 @@ def _move(
     after: Array,
     change: tuple[int, int, float],
 ) -> Move:
-    """What a number promises: errors change along the secant to its probe."""
+    """Fit one parameter and those of its joint, linear in the change of its probe."""
     (k, j, delta), prior = change, problem.prior
     sign = QUANTITIES[k].name == "sign"
     whole = QUANTITIES[k].name in _WHOLE
@@ -120,7 +120,7 @@ def _move(
 
 
 def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Array]]:
-    """Changes of every number by which it is probed, in coordinates, each (n,)."""
+    """Changes of the coordinates to try for every quantity, (n,) each."""
     spread = problem.prior.spread
     ones = np.ones_like(spread[0])
     rates = [np.abs(np.diff(s.command, axis=0)) / s.step for s in problem.stretches]
@@ -134,10 +134,10 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
             out[each.name] = [spread[k], -spread[k], hint[k] - x[k]]
         if each.least == 0.0:
             out[each.name] = [spread[k], 0.25 * spread[k], hint[k] - x[k]]
-    # A limit shows only where it is reached: how far below the file's is not known.
+    # A limit has no effect until it is reached, so that several values are tried.
     out["stall"] = [-far * spread[NAMES.index("stall")] for far in (1.0, 2.0, 3.0)]
     out["pace"] = [share / fastest for share in (1.2, 2.0, 4.0)]
-    # A stop is no nearer than where any log has been.
+    # A stop is not nearer than the farthest position in any log.
     for name, way, place in zip(
         ("lower", "upper"), (-1.0, 1.0), problem.reached, strict=True
     ):

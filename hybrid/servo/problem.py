@@ -1,12 +1,12 @@
-"""The most probable values of some numbers: Gauss–Newton on replays.
+"""The most probable servo parameters, by Gauss–Newton on replays.
 
     J(x) = Σ_j w_j Σ_k ρ(e_jk) + ½ Σ ((x − x_file) / s)²
 
-e is what a replay misses of the measured position, w and ρ are of
-:class:`hybrid.servo.noise.Noise`. A servo moves its own joint before others: numbers of
-one kind are changed at all joints at once, and each joint shows its own slope; masses,
-which move all joints, are changed one by one. J is a sum over joints: each takes the
-step that suits it. The last slopes, which the covariance needs, are made one by one.
+e is replayed less measured position; w and ρ are of :class:`hybrid.servo.noise.Noise`.
+
+A servo moves mainly its own joint. One replay therefore gives the derivative by one
+quantity at all joints, and each joint chooses its own step length. Masses and the like
+change all joints and are varied one by one. So are all parameters for the covariance.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from hybrid.servo.noise import Noise, inexactness, resolution, usual_error
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
 
-_ENDS = 5e-3  # relative fall of the cost that is not worth another step
-_DAMPINGS = (0.01, 1.0, 100.0)
-_LARGEST = 1.0  # step of a logarithm; of other numbers in prior deviations
-_PROBE = 0.05  # the same for slopes
-_LEAST = 1e-4  # rad: of an encoder without steps
-_KEPT = 64 * 2**20  # bytes of replays that are remembered
+_ENDS = 5e-3  # relative decrease of the cost below which a fit ends
+_DAMPINGS = (0.01, 1.0, 100.0)  # Levenberg–Marquardt
+_LARGEST = 1.0  # step of a logarithm; of other values in prior deviations
+_PROBE = 0.05  # the same for finite differences
+_LEAST = 1e-4  # rad: resolution of an encoder without visible steps
+_KEPT = 64 * 2**20  # bytes of replays in the cache
 LOGARITHMIC = np.array([q.positive for q in QUANTITIES])[:, None]
 SHARED = np.array([q.shared for q in QUANTITIES])
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Servos at which a search ended.
+    """Servo parameters and their replay errors.
 
     Attributes:
         x: Coordinates, shape (len(QUANTITIES), n).
-        free: Which of them were fitted, P of them.
-        errors: What replays miss there, shape (M, n), [rad].
+        free: Which of them are fitted, P of them.
+        errors: Replay errors over all stretches, shape (M, n), [rad].
     """
 
     x: Array
@@ -51,22 +51,22 @@ class Estimate:
 
     @cached_property
     def usual(self) -> Array:
-        """Usual error of replays, shape (n,), [rad]."""
+        """RMS error without outliers, shape (n,), [rad]."""
         return usual_error(self.errors)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Logs, and what is known of servos before.
+    """Logs to fit, and the prior.
 
     Attributes:
         simulator: Replays.
         stretches: Logs.
-        prior: Numbers of the robot file.
+        prior: Servos of the robot file.
         resting: Joints that no log moves, shape (n,).
         reached: Least and largest position in any log, shape (2, n), [rad].
-        touched: Least height in any log of links' centres of mass, if their command
-            went lower, else NaN, shape (n,), [m].
+        touched: Lowest height of each centre of mass in any log, NaN if no command
+            went lower, shape (n,), [m].
     """
 
     simulator: ServoSimulator
@@ -78,7 +78,7 @@ class Problem:
     _known: dict[bytes, Array] = field(default_factory=dict)
 
     def over(self, stretches: Sequence[Stretch]) -> Problem:
-        """The same with other stretches."""
+        """A copy with other stretches."""
         return replace(self, stretches=stretches, _known={})
 
     @property
@@ -88,22 +88,22 @@ class Problem:
 
     @cached_property
     def _limits(self) -> tuple[Array, Array]:
-        """Least usual error [rad], and density of what laws leave out [rad²], (n,)."""
+        """Lower bound of the RMS error [rad], and error of the laws [rad²], (n,)."""
         floor = np.maximum(resolution(self.stretches), _LEAST)
         return floor, inexactness(self.stretches)
 
     def noise(self, errors: Array) -> Noise:
-        """Noise as it shows in what a good replay misses, shape (M, n), [rad]."""
+        """Estimate the noise from the errors of a good replay, shape (M, n), [rad]."""
         ends = np.cumsum([len(x.q) for x in self.stretches])
         return Noise.of(np.split(errors, ends[:-1]), *self._limits)
 
     @property
     def step(self) -> Array:
-        """Prior deviations, or 1 of logarithms, shape (len(QUANTITIES), n)."""
+        """Unit of a step: 1 for logarithms, else the prior deviation, (·, n)."""
         return np.where(LOGARITHMIC, 1.0, self.prior.spread)
 
     def errors(self, points: Sequence[Array]) -> list[Array]:
-        """What replays miss at some coordinates, shape (M, n) each, [rad]."""
+        """Replay errors at some coordinates, shape (M, n) each, [rad]."""
         drives = {x.tobytes(): self.prior.moved(x) for x in points}
         new = {key: x for key, x in drives.items() if key not in self._known}
         if new:
@@ -117,24 +117,24 @@ class Problem:
         return out
 
     def at(self, x: Array, free: NDArray[np.bool_]) -> Estimate:
-        """Servos as they are, before a search."""
+        """An estimate at given coordinates."""
         return Estimate(x, free, self.errors([x])[0])
 
     def off(self, x: Array, free: NDArray[np.bool_]) -> Array:
-        """Half the squared distance from the prior at each joint, shape (n,)."""
+        """Negative log prior of each joint, up to a constant, shape (n,)."""
         z = np.where(free, (x - self.prior.coordinates) / self.prior.spread, 0.0)
         return np.asarray(0.5 * (z**2).sum(axis=0))
 
     def cost(self, found: Estimate, noise: Noise) -> Array:
-        """Negative log posterior but for a constant, of each joint, shape (n,)."""
+        """Negative log posterior of each joint, up to a constant, shape (n,)."""
         return noise.cost(found.errors) + self.off(found.x, found.free)
 
     def slopes(self, found: Estimate, *, each: bool = False) -> Array:
-        """Change of errors per unit of every free coordinate, (P, M, n).
+        """Derivative of the replay errors by every free coordinate, (P, M, n).
 
         Args:
             found: Where.
-            each: Change one number after the other, and see it at all joints.
+            each: Vary one parameter at a time, and keep its effect on all joints.
         """
         alone = found.free & (SHARED[:, None] | each)
         kinds = np.flatnonzero((found.free & ~alone).any(axis=1)).tolist()
@@ -160,13 +160,13 @@ class Problem:
         noise: Noise,
         spread: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Matrix and gradient of the log posterior.
+        """Gauss–Newton matrix and gradient of the cost.
 
         Args:
             found: Where.
             slopes: From :meth:`slopes`, shape (P, M, n).
-            noise: How errors count.
-            spread: Prior deviations if not those of the file, (len(QUANTITIES), n).
+            noise: Weights of errors.
+            spread: Prior deviations, if others, shape (len(QUANTITIES), n).
         """
         spread = self.prior.spread if spread is None else spread
         weight = noise.weights(found.errors)
@@ -179,12 +179,12 @@ class Problem:
         return matrix, gradient + inverse * away
 
     def fitted(self, start: Estimate, noise: Noise | None, turns: int) -> Estimate:
-        """The most probable values of what is free.
+        """Fit the free parameters.
 
         Args:
-            start: Where the search begins.
-            noise: How errors count; None for as much as those of the step before.
-            turns: Most Gauss–Newton steps.
+            start: Where the fit begins.
+            noise: Weights of errors; None to estimate them anew before each step.
+            turns: Maximum number of Gauss–Newton steps.
         """
         found = start
         for _ in range(turns if start.free.any() else 0):
@@ -215,6 +215,6 @@ class Problem:
         return min([found, *ends], key=lambda x: float(self.cost(x, noise).sum()))
 
     def covariance(self, found: Estimate, noise: Noise) -> Array:
-        """Posterior covariance of what is free, shape (P, P)."""
+        """Posterior covariance of the free parameters, shape (P, P)."""
         matrix, _ = self.normal(found, self.slopes(found, each=True), noise)
         return np.asarray(np.linalg.inv(matrix))

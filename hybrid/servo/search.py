@@ -1,12 +1,12 @@
-"""Which numbers of a file are wrong: explanations of logs compete by their evidence.
+"""Search for the parameters of a file that are wrong, by their evidence.
 
-J is a sum over joints, and a servo moves its own joint before others, so that joints
-search side by side. The search begins with the plain fit. The numbers that promise most
-by a secant of the replays are fitted, and the best stays. At the end every number goes
-back to the file's, others making up for it, and stays there if the evidence grows.
+A servo moves mainly its own joint, so that all joints are searched side by side. The
+search starts at the file or at the plain fit. In each round the most promising
+parameters of each joint are fitted, and the best one is added. At the end each added
+parameter is set back to the file, and stays there if the evidence grows by that.
 
-Evidence is of the parts of the logs that are fitted. No step is taken at a joint which
-makes the other parts less probable than by any explanation met before.
+Evidence is computed on the parts of the logs that are fitted. No step may make the
+parts set aside less probable than the best explanation so far does.
 """
 
 from __future__ import annotations
@@ -25,30 +25,29 @@ from hybrid.servo.moves import Move, probed, promising
 from hybrid.servo.noise import Noise
 from hybrid.servo.problem import SHARED, Estimate, Problem
 
-# Shapes of friction have no number in the file; they are no cause of their own.
+# No file states these shapes of friction: they are always fitted, and never a cause.
 _SHAPES = np.isin(NAMES, ("stribeck_speed", "presliding"))[:, None]
 _SIGN = NAMES.index("sign")
-_RANKS = 2  # numbers of a joint that are fitted in a round, each alone
-_TURNS = 4  # Gauss–Newton steps of one of them
+_RANKS = 2  # parameters of a joint that are tried in a round, one at a time
+_TURNS = 4  # Gauss–Newton steps of a trial
 _ROUNDS = 8
-_CLEAR = 0.2  # of the best gain: less may be another joint's doing, and waits
-_EQUAL = 3.0  # nats of likelihood: less is not told by motion
-_TOLD = 1.0  # nats: less is hardly worth a mention (Jeffreys)
+_CLEAR = 0.2  # of the best gain: a smaller one may come from another joint, and waits
+_CLOSE = 3.0  # nats: two explanations are about equally good (odds of 20)
+_TOLD = 1.0  # nats: a negligible difference (Jeffreys)
 _NEAR = 1  # rounds from the file before it is compared with the plain fit
-_CLOSE = 3.0  # nats: a loss by linear algebra below it is looked at again
 
 Place = tuple[int, int]
 
 
 class Search:
-    """Explanations of logs.
+    """The search of one set of logs.
 
     Args:
         problem: The logs.
         plain: A plain fit of them.
-        aside: The parts that are not fitted, if there are any.
-        allowed: Numbers that may differ, shape (len(QUANTITIES), n).
-        progress: Is told what is done.
+        aside: The parts set aside, if there are any.
+        allowed: Parameters that may differ, shape (len(QUANTITIES), n).
+        progress: Receives each step.
     """
 
     def __init__(
@@ -67,7 +66,7 @@ class Search:
         self.allowed = ~_SHAPES & allowed
 
     def best(self) -> Explanation:
-        """The best explanation of each joint, from the file or from the plain fit."""
+        """Search from the better of the file and the plain fit at each joint."""
         near, plain = self.grown(self.file(), _NEAR), self.plain
         self.met = [plain]
         tried = [near, self.of(plain.found.x, plain.causes)]
@@ -80,12 +79,12 @@ class Search:
         return self.pruned(grown)
 
     def file(self) -> Explanation:
-        """Nothing is wrong, but shapes of friction that a file does not state."""
+        """The explanation without causes: only the shapes of friction are fitted."""
         x = self.problem.prior.coordinates
         return self.of(x, np.zeros_like(self.shapes), _TURNS)
 
     def of(self, x: Array, causes: NDArray[np.bool_], turns: int = 2) -> Explanation:
-        """Some numbers differ, from coordinates where they may be."""
+        """Fit an explanation with given causes, starting at given coordinates."""
         free = self.shapes | causes
         free[_SIGN] = False
         start = self.problem.at(x, free)
@@ -97,7 +96,7 @@ class Search:
     ) -> Array:
         """Evidence that trials add at each joint, shape (trials, n), [nats].
 
-        Where they make the parts set aside less probable, no more than is lost there.
+        A trial that makes the parts set aside less probable has that loss as its gain.
         """
         before = evidence(self.problem, now, noise)
         gain = np.array([evidence(self.problem, x, noise) - before for x in tried])
@@ -110,7 +109,7 @@ class Search:
         return np.asarray(np.where(harm > _TOLD, np.minimum(gain, -harm), gain))
 
     def grown(self, start: Explanation, rounds: int = _ROUNDS) -> Explanation:
-        """The explanation with all numbers that add to its evidence."""
+        """Add causes until the evidence no longer grows."""
         now = start
         self.met.append(now)
         for turn in range(rounds):
@@ -123,7 +122,7 @@ class Search:
         return now
 
     def _wider(self, now: Explanation) -> Explanation | None:
-        """With one more number at every joint that gains by it; None if none does."""
+        """Add one cause at every joint that gains by it; None if none does."""
         trials = self._trials(now)
         if not trials:
             return None
@@ -141,14 +140,14 @@ class Search:
         if SHARED[trials[0][0].k] and gain[0].sum() > max(single.max(), 0.0):
             return tried[0]
         gain = np.where(more, gain, 0.0)
-        # Joints move each other a little: the clearest first.
+        # Joints move each other a little: the clearest gains first.
         sure = single > max(0.0, _CLEAR * single.max())
         which = np.where(sure, gain.argmax(axis=0), -1)
         after = self._mixed(now, tried, which, noise)
         return after and replace(after, equals=self._equals(now, tried, which, noise))
 
     def _trials(self, now: Explanation) -> list[list[Move]]:
-        """Numbers to be fitted: one that moves all joints, or one at every joint."""
+        """Parameters to try: one that moves all joints, then one of every joint."""
         problem, found, hint = self.problem, now.found, self.plain.found.x
         open_ = self.allowed & ~now.causes
         changes, errors = probed(problem, found.x, open_, hint)
@@ -168,7 +167,7 @@ class Search:
     def _equals(
         self, now: Explanation, tried: list[Explanation], which: Array, noise: Noise
     ) -> dict[Place, tuple[int, ...]]:
-        """Numbers that were tried beside the ones taken, and fit as well."""
+        """Quantities that fit as well as the ones that are added."""
         out = dict(now.equals)
         costs = [self.problem.cost(x.found, noise) for x in tried]
         new = [(x.causes & ~now.causes) & ~SHARED[:, None] for x in tried]
@@ -178,7 +177,7 @@ class Search:
                     int(other)
                     for cost, more in zip(costs, new, strict=True)
                     for other in np.flatnonzero(more[:, j])
-                    if other != k and cost[j] < costs[i][j] + _EQUAL
+                    if other != k and cost[j] < costs[i][j] + _CLOSE
                 )
         return out
 
@@ -189,7 +188,10 @@ class Search:
         which: Array,
         noise: Noise,
     ) -> Explanation | None:
-        """Each joint as in one trial or as it is (−1), where it gains by that."""
+        """Combine trials: each joint as in one of them or unchanged (−1).
+
+        Joints that do not gain by the combination stay unchanged.
+        """
         while (which >= 0).any():
             x, causes = now.found.x.copy(), now.causes.copy()
             for j, k in enumerate(which.tolist()):
@@ -200,13 +202,13 @@ class Search:
             (gain,) = self.gain(now, [mixed], noise)
             if gain.sum() > 0 and (gain[which >= 0] > 0).all():
                 return mixed
-            # Joints move each other a little: those that lose, or gain least, wait.
+            # Joints move each other a little: those that lose or gain least wait.
             least = gain[which >= 0].min()
             which = np.where((gain > 0) & (gain > least), which, -1)
         return None
 
     def pruned(self, what: Explanation) -> Explanation:
-        """With all numbers back at the file's by which the evidence grows."""
+        """Remove causes as long as the evidence grows by that."""
         now, kept = what, dict[Place, float]()
         while True:
             self.progress(f"servos: {int(now.causes.sum())} causes, fewer")
@@ -235,7 +237,7 @@ class Search:
     def _weakest(
         self, losses: Mapping[Place, float], kept: Mapping[Place, float]
     ) -> list[Place]:
-        """The number of each joint that is missed least, or one that moves all."""
+        """The least important cause of each joint, or one that moves all joints."""
         out: dict[int, Place] = {}
         for at in sorted(losses, key=lambda at: losses[at]):
             if losses[at] > _CLOSE or at in kept:
@@ -248,7 +250,10 @@ class Search:
     def _without_one(
         self, now: Explanation, noise: Noise
     ) -> tuple[dict[Place, float], dict[Place, Array]]:
-        """Loss and place of each number back: x' = x − C_i (x_i − f_i)/C_ii."""
+        """Loss and coordinates when one cause i goes back to the file's value f_i.
+
+        The others adapt linearly: x' = x − C_i (x_i − f_i)/C_ii with covariance C.
+        """
         problem, found = self.problem, now.found
         places = [tuple(p) for p in np.argwhere(found.free).tolist()]
         prior, spread = problem.prior.coordinates, problem.prior.spread

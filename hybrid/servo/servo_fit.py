@@ -1,4 +1,4 @@
-"""Servos fitted to logs without torque, and what is wrong with those of the file."""
+"""The result of a fit of servos: parameters, findings and replay errors."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import stretches_of
 from hybrid.shown import Shown
 
-_UNKNOWN = 4.0  # times the resolution of the encoder: more has a cause
+_UNKNOWN = 4.0  # times the resolution of the encoder: a larger error has a cause
 
 
 @dataclass(frozen=True)
 class ServoFinding:
-    """One number of the file that is wrong.
+    """One parameter of the file that is wrong.
 
     Attributes:
         effect: Effect of the library.
         joint: Name of the joint.
-        quantity: What is wrong.
+        quantity: Name of the parameter.
         unit: Its unit.
-        file: What the file says.
-        value: What the logs say.
-        interval: 95 % of the posterior.
-        probability: That the file is wrong in this.
-        equivalents: Effects at the same joint that replay these logs as well.
-        worth: Error of unseen replays that comes back with the file's number, [rad]:
-            of this joint; of what moves several joints, at the one that it moves most.
+        file: Value in the file.
+        value: Value by the logs.
+        interval: Its 95 % interval.
+        probability: Probability that the file is wrong in this parameter.
+        equivalents: Effects at the same joint that replay these logs equally well.
+        worth: Increase of the replay error on held-out motion with the file's value, at
+            this joint or, if it moves several, at the joint with the most, [rad].
     """
 
     effect: str
@@ -51,15 +51,15 @@ class ServoFinding:
 
 @dataclass(frozen=True, eq=False)
 class ServoReplay:
-    """One log beside its replays, N samples.
+    """One log of N samples and its replays.
 
     Attributes:
         t: Time, shape (N,), [s].
         command: Commanded position, shape (N, n), [rad].
         q: Measured position, shape (N, n), [rad].
-        before: What the file's servos make of it, shape (N, n), [rad].
-        after: What the servos found make of it, shape (N, n), [rad].
-        source: Where the log is from.
+        before: Replay with the servos of the file, shape (N, n), [rad].
+        after: Replay with the servos found, shape (N, n), [rad].
+        source: The log.
     """
 
     t: Array
@@ -75,23 +75,23 @@ class ServoFit(Shown):
     """Servos of an arm, from logs of command and position.
 
     Attributes:
-        robot: The arm as its file has it.
-        drive: Servos as found.
-        written: The same without what MJCF has no place for, others making up for it.
-        plain_drive: Servos of a plain fit.
-        std: Standard deviations: relative of positive numbers, else in the number's
-            unit; shape (len(QUANTITIES), n).
-        findings: What the file has wrong, the most worthy first.
-        before: Error of replays with the file, RMS on unseen motion, (n,), [rad].
-        plain: The same with a plain fit of stiffness, damping, friction, rotor, offset
-            and delay.
-        after: The same with these servos.
-        floor: Resolution of the encoder, shape (n,), [rad]: no replay gets below.
-        seconds: Unseen motion that was replayed, [s].
-        unseen: Where it is from.
-        resting: Joints that no log moves; their numbers are the file's.
-        scale: Joints whose links have a known mass, on which all torques rest; none if
-            they rest on the file's masses.
+        robot: The arm by its file.
+        drive: Servos found.
+        written: The best servos that MJCF can express.
+        plain_drive: Servos of the plain fit.
+        std: Standard deviations, relative for positive quantities, else in their unit;
+            shape (len(QUANTITIES), n).
+        findings: Wrong parameters of the file, the most important first.
+        before: RMS replay error on held-out motion with the file, shape (n,), [rad].
+        plain: The same with the plain fit of stiffness, damping, friction, rotor,
+            offset and delay.
+        after: The same with the servos found.
+        floor: Resolution of the encoder, a lower bound of errors, shape (n,), [rad].
+        seconds: Length of the held-out motion, [s].
+        unseen: Its logs.
+        resting: Joints that no log moves; they keep the values of the file.
+        scale: Joints whose links have a known mass, which sets the scale of all
+            torques; none if the masses of the file do.
         notes: What these logs cannot tell.
     """
 
@@ -138,10 +138,10 @@ class ServoFit(Shown):
         )
 
     def replayed(self, recording: Recording) -> ServoReplay:
-        """A log, and what the file's servos and these make of its commands.
+        """Replay a log with the servos of the file and with these.
 
         Args:
-            recording: Log with command; its longest stretch without holes is taken.
+            recording: Log with command; its longest stretch without holes is used.
         """
         whole = stretches_of([recording.in_order(self.robot.joints)])
         longest = max(whole, key=lambda x: x.duration)
@@ -153,7 +153,7 @@ class ServoFit(Shown):
         return ServoReplay(t, longest.command, longest.q, before, after, longest.source)
 
     def save(self, path: str | Path) -> None:
-        """Write the robot's own file with these servos, as far as MJCF can say them."""
+        """Write the robot's own file with these servos, as far as MJCF can express."""
         from hybrid.servo.write import write_servos
 
         write_servos(self.robot, self.written, path)
@@ -189,7 +189,6 @@ class ServoFit(Shown):
         }
 
     def _numbers(self, j: int) -> dict[str, Any]:
-        """All numbers of one servo."""
         return {
             x.name: {
                 "value": float(self.drive[x.name][j]),

@@ -6,7 +6,7 @@ import copy
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,17 +22,18 @@ from hybrid.servo.model import (
     servo_spec,
     weight,
 )
+from hybrid.servo.noise import INEXACT
 from hybrid.servo.stretch import Stretch
 
 _HALVINGS = 4  # of the step, at most
-_MODELS = 64  # that are kept compiled
-_FINE = 0.03  # of what a replay misses: a law leaves out as much
-_STEP = 0.005  # s: at most, of the physics
+_MODELS = 64  # compiled models in the cache
+_STEP = 0.005  # s: longest step of the physics
+_SPARE = 0.1  # steps: clocks are not exact, so that as much more takes no step more
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A stretch and servos, ready to be replayed."""
+    """One replay: a stretch and a model with its servos."""
 
     stretch: Stretch
     parts: int  # physics steps between two samples
@@ -43,12 +44,12 @@ class Run:
 
 
 class ServoSimulator:
-    """An arm with servos, replayed from the state in which a stretch begins.
+    """Open-loop replays of an arm with servos, from the first state of a stretch.
 
     Args:
         robot: The arm.
         step: Longest step of the physics, [s].
-        gpu: Replay on a GPU, but for servos of the robot file.
+        gpu: Replay on a GPU, except with the servos of the robot file.
 
     Raises:
         HybridError: A GPU is asked for, and none is there.
@@ -65,7 +66,7 @@ class ServoSimulator:
         self._weights: dict[tuple[Stretch, bytes], Array] = {}
 
     def with_step(self, step: float) -> ServoSimulator:
-        """The same with another longest step, [s]."""
+        """A copy with another longest step, [s]."""
         other = ServoSimulator(self.robot, step)
         other.roll = self.roll
         return other
@@ -73,14 +74,14 @@ class ServoSimulator:
     def replay(
         self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
     ) -> list[list[Array]]:
-        """Positions that servos make of commands.
+        """Replay every stretch with each of some servos.
 
         Args:
-            stretches: What is replayed.
-            drives: Servos to replay it with; None alone for those of the robot file.
+            stretches: Logs to replay.
+            drives: Servos; or only None, for those of the robot file.
 
         Returns:
-            For each drive and each stretch positions, shape (N, n), [rad].
+            Positions by drive and stretch, shape (N, n) each, [rad].
         """
         runs = self.runs(stretches, drives)
         roll = rolled if None in drives else self.roll
@@ -91,18 +92,17 @@ class ServoSimulator:
     def runs(
         self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
     ) -> list[Run]:
-        """Every stretch with each of some servos, made ready."""
+        """Prepare the replays of every stretch with each of some servos."""
         runs = []
         for drive in drives:
-            models: dict[float, Any] = {}  # one for all stretches of a step
+            models: dict[float, Any] = {}  # by step
             runs += [self._run(drive, stretch, models) for stretch in stretches]
         return runs
 
     def _run(
         self, drive: Drive | None, stretch: Stretch, models: dict[float, Any]
     ) -> Run:
-        """One stretch made ready."""
-        parts = max(1, int(np.ceil(stretch.step / self._longest)))
+        parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
         step, none = round(stretch.step / parts, 9), np.zeros(self.robot.size)
         if step not in models:
             models[step] = self._model(drive, step)
@@ -110,12 +110,11 @@ class ServoSimulator:
             none if drive is None else drive[name]
             for name in ("delay", "pace", "dead_band")
         )
-        control = delayed(slowed(stretch, pace), late, parts)
+        control = goals(stretch, late, pace, parts)
         state = self._state(models[step], drive, stretch, control[0])
         return Run(stretch, parts, models[step], state, control, dead)
 
     def _seen(self, run: Run, moved: Array) -> Array:
-        """Positions at the times of the log, shape (N, n), [rad]."""
         after = moved[run.parts - 1 : len(run.control) : run.parts]
         return np.vstack([run.stretch.q[:1], after])
 
@@ -144,10 +143,7 @@ class ServoSimulator:
     def _state(
         self, model: Any, drive: Drive | None, stretch: Stretch, first: Array
     ) -> Array:
-        """Time, positions, speeds, and bristles that hold what servo and weight leave.
-
-        Of servos of the file there are no bristles.
-        """
+        """Time, positions, speeds, and bends of the bristles if there are any."""
         start = [np.zeros(1), stretch.q[0], stretch.v]
         if drive is not None:
             key = stretch, _turned(drive) + drive["mass"].tobytes()
@@ -158,15 +154,15 @@ class ServoSimulator:
 
 
 def _turned(drive: Drive | None) -> bytes:
-    """What a model is compiled for."""
+    """The parameters that need another compiled model."""
     return b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
 
 
 def rolled(runs: Sequence[Run]) -> Array:
-    """Positions after every step, shape (batch, steps, n), [rad].
+    """Replay on all cores: positions after each step, (batch, steps, n), [rad].
 
     Args:
-        runs: Stretches and servos.
+        runs: The replays.
     """
     import mujoco
     from mujoco import rollout
@@ -178,36 +174,39 @@ def rolled(runs: Sequence[Run]) -> Array:
     threads = min(len(os.sched_getaffinity(0)), len(runs))
     data = [mujoco.MjData(runs[0].model) for _ in range(threads)]
     out = np.empty((len(runs), steps, states.shape[1]))
-    which = dead.any(axis=1)
-    plain, zoned = np.flatnonzero(~which).tolist(), np.flatnonzero(which).tolist()
-    with _quiet():  # a servo that is tried may be unstable
-        if len(plain):
-            own = [runs[i].model for i in plain]
-            found, _ = rollout.rollout(own, data, states[plain], control[plain])
-            out[plain] = found
-        if not len(zoned):
-            return out[..., 1 : 1 + n]
-        # MuJoCo's servo has no dead band: its goal is moved at every step instead.
-        own, state, most = (
-            [runs[i].model for i in zoned],
-            states[zoned],
-            dead[zoned],
-        )
-        after = np.empty((len(zoned), 1, states.shape[1]))
-        with rollout.Rollout(nthread=threads) as roll:
-            for k in range(steps):
-                off = control[zoned, k] - state[:, 1 : 1 + n]
-                goal = (control[zoned, k] - np.clip(off, -most, most))[:, None]
-                roll.rollout(
-                    own, data, state, goal, nstep=1, state=after, skip_checks=True
-                )
-                state = out[zoned, k] = after[:, 0].copy()
+    with _quiet():  # some servos are unstable
+        for zoned in (False, True):
+            own = np.flatnonzero(dead.any(axis=1) == zoned)
+            models = [runs[i].model for i in own.tolist()]
+            if models and zoned:
+                out[own] = _stepped(models, data, states[own], control[own], dead[own])
+            elif models:
+                out[own], _ = rollout.rollout(models, data, states[own], control[own])
     return out[..., 1 : 1 + n]
+
+
+def _stepped(
+    models: list[Any], data: list[Any], state: Array, control: Array, dead: Array
+) -> Array:
+    """Replay servos with a dead band, which MuJoCo lacks: goals move at each step."""
+    from mujoco import rollout
+
+    out = np.empty((*control.shape[:2], state.shape[1]))
+    after, n = np.empty((len(models), 1, state.shape[1])), control.shape[2]
+    with rollout.Rollout(nthread=len(data)) as roll:
+        for k in range(control.shape[1]):
+            off = control[:, k] - state[:, 1 : 1 + n]
+            goal = (control[:, k] - np.clip(off, -dead, dead))[:, None]
+            roll.rollout(
+                models, data, state, goal, nstep=1, state=after, skip_checks=True
+            )
+            state = out[:, k] = after[:, 0].copy()
+    return out
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Nothing that MuJoCo warns of is shown, or left in a file of its own."""
+    """Suppress the warnings of MuJoCo, and its log file."""
     import mujoco
 
     before = mujoco.get_mju_user_warning()
@@ -224,14 +223,14 @@ def converged(
     drive: Drive,
     floor: Array,
 ) -> ServoSimulator:
-    """Replays with the longest step that is fine enough.
+    """A simulator with the longest step at which replays have converged.
 
     Args:
         simulator: Replays with some step.
-        stretches: What is replayed.
-        drive: Servos like those that are sought.
-        floor: What a replay may be off by, shape (n,), [rad]; or by as little of what
-            it misses.
+        stretches: Logs to replay.
+        drive: Approximate servos.
+        floor: Error that a replay may have, shape (n,), [rad]. It may also have 3 % of
+            what it misses of the log.
     """
     steps = [_STEP / 2**k for k in range(_HALVINGS)]
     measured = np.concatenate([x.q for x in stretches])
@@ -242,7 +241,7 @@ def converged(
         if before is not None:
             off = np.sqrt(np.mean((after - before) ** 2, axis=0))
             miss = np.sqrt(np.mean((after - measured) ** 2, axis=0))
-            if (off <= np.maximum(floor, _FINE * miss)).all():
+            if (off <= np.maximum(floor, INEXACT * miss)).all():
                 return simulator.with_step(2 * step)
         before = after
     return simulator.with_step(steps[-1])
@@ -259,35 +258,31 @@ def missed(
     return np.asarray(np.nan_to_num(np.array(found), nan=np.inf))
 
 
-def delayed(stretch: Stretch, delay: Array, parts: int) -> Array:
-    """Commands as they act at every physics step, shape (parts·(N − 1), n), [rad].
+def goals(stretch: Stretch, delay: Array, pace: Array, parts: int) -> Array:
+    """Goals of the servos at every physics step, shape (parts·(N − 1), n), [rad].
 
     Args:
         stretch: Commands at the rate of the log.
-        delay: By how much each joint's acts later, shape (n,), [s].
+        delay: By how much each joint's command acts later, shape (n,), [s].
+        pace: Least time of a rad of each joint's goal, shape (n,), [s/rad].
         parts: Physics steps between two samples.
     """
-    t = np.arange((len(stretch.command) - 1) * parts) * (stretch.step / parts)
-    logged = np.arange(len(stretch.command)) * stretch.step
-    each = zip(stretch.command.T, delay, strict=True)
-    return np.stack([np.interp(t - d, logged, x) for x, d in each], axis=1)
+    sent, samples, step = stretch.sent, len(stretch.command), stretch.step / parts
+    logged = np.arange(samples - len(sent), samples) * stretch.step
+    steps, earlier = (samples - 1) * parts, (len(sent) - samples) * parts
+    out = np.empty((steps, sent.shape[1]))
+    for j, (late, slow) in enumerate(zip(delay, pace, strict=True)):
+        first = -earlier if slow > 0 else 0
+        asked = np.interp(np.arange(first, steps) * step - late, logged, sent[:, j])
+        out[:, j] = (slowed(asked, step / slow) if slow > 0 else asked)[-steps:]
+    return out
 
 
-def slowed(stretch: Stretch, pace: Array) -> Stretch:
-    """A stretch whose goals move no faster than they may.
-
-    Args:
-        stretch: Commands at the rate of the log.
-        pace: Least time of a rad of each joint's goal, shape (n,), [s/rad].
-    """
-    command = stretch.command
-    for j in np.flatnonzero(pace > 0).tolist():
-        most = stretch.step / pace[j]
-        if np.abs(np.diff(stretch.command[:, j])).max() <= most:
-            continue
-        goals, goal = stretch.command[:, j].tolist(), float(stretch.command[0, j])
-        for k, x in enumerate(goals):
-            goals[k] = goal = goal + min(max(x - goal, -most), most)
-        command = command.copy() if command is stretch.command else command
-        command[:, j] = goals
-    return stretch if command is stretch.command else replace(stretch, command=command)
+def slowed(asked: Array, most: float) -> Array:
+    """Goals that follow what is asked, shape (K,), by no more than ``most`` a step."""
+    if np.abs(np.diff(asked)).max() <= most:
+        return asked
+    followed, goal = asked.tolist(), float(asked[0])
+    for k, x in enumerate(followed):
+        followed[k] = goal = goal + min(max(x - goal, -most), most)
+    return np.array(followed)

@@ -1,11 +1,11 @@
-"""A first guess of servos by linear least squares: no replay, no file needed.
+"""A first guess of the servo parameters by linear least squares, without replays.
 
-At every sample the servo carries weight, friction and inertia,
+At every sample the servo balances weight, friction and inertia,
 
     k (c − q) = g(q) + b q̇ + F_c sgn q̇ + J q̈ + const,
 
-which is linear in (1, b, F_c, J, const)/k once the masses of the file give g. A delay
-of the command passes for damping here.
+which is linear in (1, b, F_c, J, const)/k, with gravity g by the masses of the file. A
+delay of the command looks like damping here.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive
-from hybrid.servo.simulator import ServoSimulator
+from hybrid.servo.simulator import ServoSimulator, missed
 from hybrid.servo.stretch import Stretch
 from hybrid.signals.filters import butterworth, central_difference
 
-_BAND = 4.0  # Hz: of what a coarse encoder leaves of an acceleration
-_CREEP = 0.02  # rad/s
-_DELAYS = tuple(0.02 * k for k in range(6))  # s
-_STIFFER = (1.0, 2.0, 4.0)  # than guessed: friction passes for softness
-_LOADED = 0.1  # of the largest change of weight: less tells no stiffness
-_LEAST = 1e-3  # rad, s or s², of the stiffness: friction and rotors are not negative
+_BAND = 4.0  # Hz: cut-off for accelerations from a coarse encoder
+_CREEP = 0.02  # rad/s: smooths the step of Coulomb friction at zero speed
+_DELAYS = tuple(0.02 * k for k in range(6))  # s: candidates
+_STIFFER = (1.0, 2.0, 4.0)  # factors of the guess: friction looks like softness
+_LOADED = 0.1  # of the largest change of weight: below, stiffness is unknown
+_LEAST = 1e-3  # rad, s or s², times stiffness: least friction, damping, rotor
 
 
 def first_guess(
     robot: Robot, stretches: Sequence[Stretch], prior: Drive | None = None
 ) -> Drive:
-    """Servos from which a fit by replay starts.
+    """Guess the servos from which a fit by replay starts.
 
     Args:
         robot: The arm.
         stretches: Logs.
-        prior: Servos, and masses of links, if not those of the file.
+        prior: Servos and masses of links, if not those of the file.
     """
     declared = prior or Drive.declared(robot)
     inertial = robot.chain.inertial * declared["mass"][:, None]
@@ -52,7 +52,7 @@ def first_guess(
         found.append(np.linalg.lstsq(basis, error[:, j], rcond=None)[0])
         if np.ptp(weight[:, j]) > _LOADED * np.abs(weight).max():
             slope[j] = found[j][0]
-    # Joints that carry no weight have servos like those that do.
+    # Joints that carry no weight get the stiffness of those that do.
     told = slope[slope > 0]
     usual = (
         1.0 / np.median(told) if len(told) else float(np.median(declared["stiffness"]))
@@ -75,9 +75,10 @@ def best_start(
     guess: Drive,
     declared: Drive,
 ) -> Drive:
-    """For each joint the servo that replays best: guessed or the file's, with a delay.
+    """Choose for each joint the servo and the delay that replay best.
 
-    To a slow motion a delay d is damping k·d, of which a guess has taken it for a part.
+    Candidates are the guess and the file. In slow motion a delay d looks like damping
+    k·d, which is taken off the guessed damping.
 
     Args:
         simulator: Replays.
@@ -86,17 +87,14 @@ def best_start(
         declared: Servos of the file.
     """
     least = _LEAST * guess["stiffness"]
-    tried, errors = [], []
+    tried = []
     for delay in _DELAYS:
         tried.append(declared.at(delay=delay))
         damping = np.maximum(guess["damping"] - guess["stiffness"] * delay, least)
         for times in _STIFFER:
             own = {"stiffness": guess["stiffness"] * times, "damping": damping}
             tried.append(guess.at(delay=delay, **own))
-    for moved in simulator.replay(stretches, tried):
-        each = [q - x.q for q, x in zip(moved, stretches, strict=True)]
-        errors.append(np.mean(np.concatenate(each) ** 2, axis=0))
-    best = np.argmin(np.nan_to_num(np.array(errors), nan=np.inf), axis=0)
+    best = missed(simulator, stretches, tried).argmin(axis=0)
     values = [tried[k].values[:, j] for j, k in enumerate(best.tolist())]
     return Drive(np.stack(values, axis=1), guess.stall)
 

@@ -1,4 +1,4 @@
-"""Stretches of logs that are replayed from their first state."""
+"""Continuous stretches of logs, the input of replays."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hybrid.errors import RecordingError
 from hybrid.recording import Recording, resample, unbroken
 
 _SHORTEST = 2.0  # s: a servo settles in less
+_CAUGHT_UP = 10.0  # s: a goal of limited speed has caught up with its command in less
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,9 @@ class Stretch:
         command: Commanded position, shape (N, n), [rad].
         q: Measured position, shape (N, n), [rad].
         v: Speed at the first sample, shape (n,), [rad/s].
-        source: Where it is from.
+        source: The log.
+        before: Commands of the log before the first sample, shape (B, n), [rad]. A
+            delay or a limited goal speed makes the first samples depend on them.
     """
 
     step: float
@@ -31,6 +34,14 @@ class Stretch:
     q: Array
     v: Array
     source: str = ""
+    before: Array | None = None
+
+    @property
+    def sent(self) -> Array:
+        """All commands, those before the first sample too, shape (B + N, n), [rad]."""
+        if self.before is None:
+            return self.command
+        return np.concatenate([self.before, self.command])
 
     @property
     def duration(self) -> float:
@@ -38,20 +49,23 @@ class Stretch:
         return self.step * (len(self.q) - 1)
 
     def cut(self, first: int, samples: int) -> Stretch:
-        """Some of its samples, from the one with index ``first``."""
+        """A part of it: ``samples`` samples from index ``first`` on."""
         v = self.v
         if first:
             near = slice(max(first - 2, 0), first + 3)
             v = np.gradient(self.q[near], self.step, axis=0).mean(axis=0)
         part = slice(first, first + samples)
-        return Stretch(self.step, self.command[part], self.q[part], v, self.source)
+        sent, earlier = self.sent, len(self.sent) - len(self.q) + first
+        before = sent[max(earlier - round(_CAUGHT_UP / self.step), 0) : earlier]
+        command, q = self.command[part], self.q[part]
+        return Stretch(self.step, command, q, v, self.source, before)
 
 
 def without_torque(recordings: Sequence[Recording]) -> bool:
-    """Whether no log has torque.
+    """Say whether the logs have no torque.
 
     Raises:
-        RecordingError: Some have and some have not, or a log has neither torque nor
+        RecordingError: Only some logs have torque, or a log has neither torque nor
             command.
     """
     lacking = [x for x in recordings if not x.has_torque]
@@ -70,13 +84,13 @@ def without_torque(recordings: Sequence[Recording]) -> bool:
 
 
 def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
-    """Logs as stretches on uniform clocks; one with holes is several.
+    """Resample logs to uniform clocks, and split them at holes.
 
     Args:
         recordings: Logs with command, joints in the order of the arm.
 
     Raises:
-        RecordingError: A log has no command, or none lasts two seconds.
+        RecordingError: A log has no command, or no stretch lasts two seconds.
     """
     found = []
     for recording in recordings:
@@ -101,12 +115,12 @@ def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
 
 
 def chosen(stretches: Sequence[Stretch], seconds: float, each: float) -> list[Stretch]:
-    """The parts in which the command works most, of all logs alike.
+    """Choose parts in which the commands move most, as many of each log as possible.
 
     Args:
         stretches: Whole logs.
-        seconds: Time in all, [s].
-        each: Time of a part, [s].
+        seconds: Total time of the parts, [s].
+        each: Length of a part, [s].
     """
     parts: list[tuple[int, float, Stretch]] = []
     scale = np.array([x.command.std(axis=0) for x in stretches]).max(axis=0) + 1e-9

@@ -1,4 +1,4 @@
-"""The user's own simulator file with servos as they were found, all else as it was."""
+"""Write the servos found into the user's own simulator file."""
 
 from __future__ import annotations
 
@@ -43,14 +43,13 @@ _KEPT = ("name", "joint", "jointinparent", "ctrlrange", "ctrllimited", "group")
 def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     """Write the robot's MJCF file again with other servos; of a URDF, an MJCF skeleton.
 
-    The attributes of the joints and their actuators change, every other byte stays. The
-    delay is a number of steps of the file's own clock, rounded up to hold it. MJCF has
-    no place for a dead band or for a goal's speed.
+    The attributes of the joints and their actuators change, every other byte stays.
+    MJCF cannot express a dead band or a limit of the goal's speed.
 
     Args:
         robot: An arm read from a file.
         drive: The servos.
-        path: Where the new file shall be.
+        path: The new file.
 
     Raises:
         RobotError: The file is gone, or a joint or actuator stands in another file.
@@ -77,7 +76,6 @@ def _skeleton(robot: Robot) -> Document:
 
 
 def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
-    """Change the attributes of joints and actuators."""
     step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
     parameters, joint_damping = motors(robot, drive), dampings(robot, drive)[1]
@@ -86,8 +84,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
     for j, name in enumerate(robot.joints):
         joint = joint_tag(document, name)
         turn = turn_unit(document, not robot.chain.revolute[j])
-        # A spring counts from its angle, and the angle at which the file draws the arm
-        # is where the log has zero.
+        # `ref` is the angle in the pose that the file draws: the zero of the log.
         reference = float(joint.attributes.get("ref", "0"))
         given = {
             "damping": joint_damping[j],
@@ -105,9 +102,8 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         document.set(joint, given)
         motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
         motor |= _delay(float(drive["delay"][j]), step)
-        remove_passive_motors(
-            document, name
-        )  # a servo's friction is all that the joint has
+        # The motor of the servo has all friction of the joint.
+        remove_passive_motors(document, name)
         own = actuator_tags(document, name)
         sections = document.find("mujoco", "actuator")
         if own:
@@ -121,7 +117,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
 
 
 def _delay(delay: float, step: float) -> dict[str, Any]:
-    """Attributes of a delay, [s], in steps of the simulation, [s]."""
+    """Attributes of a delay, [s], with a buffer of steps of the simulation, [s]."""
     if delay <= 0:
         return {}
     return {"delay": delay, "nsample": math.ceil(delay / step) + 1, "interp": "linear"}

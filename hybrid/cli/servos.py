@@ -1,0 +1,88 @@
+"""Logs without torque, which ``hybrid identify`` and ``hybrid diagnose`` both take."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from hybrid.cli import options
+from hybrid.cli.screen import Screen
+from hybrid.errors import HybridError
+
+if TYPE_CHECKING:
+    from hybrid.recording import Recording
+    from hybrid.robot import Robot
+    from hybrid.servo import ServoFit
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments that only logs without torque take."""
+    parser.add_argument(
+        "--known-mass",
+        type=options.positions,
+        default={},
+        metavar="JOINT=KG",
+        help="mass of the link that a joint moves, which sets the scale of torques in "
+        "logs that have none (default: the file's masses)",
+    )
+    parser.add_argument(
+        "--gpu",
+        action="store_true",
+        help="replay logs that have no torque on a GPU, with JAX (same answer)",
+    )
+
+
+def check_arguments(args: Namespace, recordings: Sequence[Recording]) -> bool:
+    """Say whether the logs have no torque.
+
+    Raises:
+        HybridError: They have, and an argument needs logs that have not; or there is no
+            GPU.
+    """
+    from hybrid.servo import without_torque
+
+    if without_torque(recordings):
+        if args.gpu:
+            from hybrid.servo.accelerated import check_gpu
+
+            check_gpu()
+        return True
+    for name, value, why in (
+        ("--gpu", args.gpu, "and nothing is replayed"),
+        ("--known-mass", args.known_mass, "which sets the scale"),
+    ):
+        if value:
+            raise HybridError(
+                f"{name}: these logs have torque, {why}; valid is it with logs of "
+                "command and position only"
+            )
+    return False
+
+
+def fit(
+    args: Namespace, robot: Robot, recordings: Sequence[Recording], screen: Screen
+) -> ServoFit:
+    """Fit the servos of an arm as the arguments say."""
+    from hybrid.servo import fit_servo
+
+    with screen.working(f"fitting the servos of {robot.name}") as tell:
+        return fit_servo(
+            robot,
+            recordings,
+            known_mass=args.known_mass,
+            gpu=args.gpu,
+            progress=tell,
+        )
+
+
+def show(found: ServoFit, screen: Screen) -> None:
+    """Show replay errors, wrong parameters of the file, and what is not known."""
+    from hybrid.report.servo import findings_table, gap_table, servos_table
+
+    for table in (gap_table(found), findings_table(found), servos_table(found)):
+        if table.rows:
+            screen.show_numbers(table)
+    for note in found.notes:
+        screen.say(f"Note: {note}.")
+    screen.say(found.sentence)
