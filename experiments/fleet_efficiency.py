@@ -13,7 +13,7 @@ import tempfile
 from datetime import timedelta
 from pathlib import Path
 
-from fleet_costs import costs, measured_costs
+from fleet_costs import Costs, costs
 from fleet_plant import FIRST_DAY
 from outputs import command_line
 from rich.console import Console
@@ -42,7 +42,7 @@ def main() -> None:
                     shutil.copy(LOG, own / f"{day}.mcap")
         plan = plan_from_dict({"robot": str(MODELS / "ur10.urdf"), "arms": folder})
         bytes_read = args.logs * LOG.stat().st_size
-        tables = costs(*measured_costs(plan, 1, args.arms), bytes_read)
+        tables = costs(Costs.measured(plan, 1, args.arms), bytes_read)
     command = (
         f"python experiments/fleet_efficiency.py --arms {args.arms} "
         f"--weeks {args.weeks} --logs {args.logs}"

@@ -17,6 +17,7 @@ from hybrid.identification import identify, validate
 from hybrid.identification.data import Data
 from hybrid.identification.gate import lowers, with_accepted
 from hybrid.identification.preparation import decimated_motion
+from hybrid.identification.solver import Solver
 from hybrid.regression.prior import file_prior, link_std
 from hybrid.regression.problem import part
 
@@ -65,6 +66,18 @@ def test_a_term_refused_at_first_is_judged_beside_those_that_were_accepted():
     assert not lowers(start.squares, fitted(options[0]).squares)[1]
     found = with_accepted(start, options, fitted)
     np.testing.assert_array_equal(found.squares, fitted(options[0]).squares)
+
+
+def test_a_joint_that_may_be_worse_than_least_squares_counts_against_a_solution():
+    rng = np.random.default_rng(4)
+    solver = Solver(arm("planar"), None, "irls", robust=False)
+    solver.reference = reference = rng.chisquare(20, (48, 2))
+    sure, unsure = reference * [0.9, 0.99], reference * [0.89, 0.98]
+    unsure[:, 1] *= 1 + 0.4 * rng.permutation(np.linspace(-1, 1, 48))
+    unsure *= reference.sum(axis=0) * [0.89, 0.98] / unsure.sum(axis=0)
+    assert (unsure.sum(axis=0) < sure.sum(axis=0)).all()
+    assert solver.cost(unsure, harm=0.0) < solver.cost(sure, harm=0.0)
+    assert solver.cost(unsure) > solver.cost(sure)
 
 
 # --- the prior ------------------------------------------------------------------------
