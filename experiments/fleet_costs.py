@@ -133,8 +133,9 @@ class Costs:
     @classmethod
     def measured(cls, plan: Plan, few: int, many: int) -> Costs:
         """Measure few and many arms of a plan."""
+        share = waiting()  # first, since it loads Dask
         one, two = ((measured(plan, few, w), measured(plan, many, w)) for w in (1, 2))
-        return cls(one, two, waiting())
+        return cls(one, two, share)
 
     @property
     def efficiency(self) -> float:
