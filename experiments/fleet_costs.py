@@ -1,20 +1,26 @@
 """What the units of a fleet cost, and a plan for ten thousand arms made of that.
 
 Processor time of children and of the process that hands out the work: a wall clock
-tells nothing of a machine that others use.
+tells nothing of a machine that others use. Everything is counted by further units, so
+that what is loaded once counts by itself. While it waits, Dask takes a share of a core,
+which is measured apart and counted for the time that units take on cores of their own.
+The efficiency at two workers is the time of the units at one worker over that of all
+processes at two.
 """
 
 from __future__ import annotations
 
+import json
 import resource
 import shutil
 import tempfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from time import process_time
+from time import process_time, sleep, time
 
 from hybrid.fleets.fleet import fleet
 from hybrid.fleets.plan import Plan
+from hybrid.fleets.run import connected
 from hybrid.report import Table
 
 _ARMS, _WEEKS = 10_000, 52
@@ -24,15 +30,31 @@ _CORE_HOUR = 0.05  # US dollar, of a shared cloud machine
 
 @dataclass(frozen=True)
 class Cost:
-    """What some units took: processor seconds of children and parent, and memory."""
+    """What some units took.
+
+    Attributes:
+        units: Number of units.
+        workers: Number of children.
+        children: Processor time of the children, [s].
+        parent: Processor time of the process that hands out, [s].
+        wall: Time by the clock, [s].
+        child_mb: Memory of the largest child, [MB].
+        parent_mb: Memory of the process that hands out, [MB].
+        stored: Results on the disk, [bytes].
+        rows: Rows as they come from the children, [bytes].
+        model: Mean size of a baseline, [bytes].
+    """
 
     units: int
     workers: int
     children: float
     parent: float
+    wall: float
     child_mb: float
     parent_mb: float
     stored: int
+    rows: int
+    model: float
 
     def as_dict(self) -> dict[str, float]:
         """JSON-ready."""
@@ -49,10 +71,12 @@ def measured(plan: Plan, arms: int, workers: int) -> Cost:
     """
     some = replace(plan, arms=plan.arms[:arms])
     folder = Path(tempfile.mkdtemp())
-    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), process_time()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = process_time(), time()
     try:
         found = fleet(some, folder, workers=workers)
-        stored = sum(x.stat().st_size for x in (folder / "units").rglob("*.parquet"))
+        stored = _size(folder / "units", "*.parquet")
+        model = _size(folder / "units", "*.json") / arms
     finally:
         shutil.rmtree(folder)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -61,54 +85,111 @@ def measured(plan: Plan, arms: int, workers: int) -> Cost:
         len({(x["arm"], x["period"]) for x in found.rows}),
         workers,
         after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
-        process_time() - start,
+        process_time() - start[0],
+        time() - start[1],
         after.ru_maxrss / 1024,
         own.ru_maxrss / 1024,
         stored,
+        len(json.dumps(found.rows)),
+        model,
     )
 
 
-def costs(few: Cost, many: Cost, log_bytes: float) -> list[Table]:
-    """Cost of a unit from two numbers of arms, and a plan for ten thousand arms.
+def _size(folder: Path, pattern: str) -> int:
+    return sum(x.stat().st_size for x in folder.rglob(pattern))
+
+
+def waiting(seconds: float = 5.0) -> float:
+    """Share of a core that the process takes while it waits for a unit."""
+    with connected(None, 1) as client:
+        client.submit(sleep, 0.1).result()
+        before = process_time()
+        client.submit(sleep, seconds).result()
+        return (process_time() - before) / seconds
+
+
+def further(few: Cost, many: Cost, share: float) -> tuple[float, float]:
+    """Processor time of a further unit in a child and in the parent, [s].
 
     Args:
-        few: A few units at one worker.
-        many: More units at one worker.
-        log_bytes: Mean size of a log.
+        few: A few units.
+        many: More units at as many workers.
+        share: Result of :func:`waiting`.
     """
     count = many.units - few.units
-    unit, overhead = (
-        (getattr(many, x) - getattr(few, x)) / count for x in ("children", "parent")
-    )
+    unit = (many.children - few.children) / count
+    handed = many.parent - few.parent - share * (many.wall - few.wall)
+    return unit, handed / count + share * unit / many.workers
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Few and many units at one worker, the same at two, and what waiting takes."""
+
+    one: tuple[Cost, Cost]
+    two: tuple[Cost, Cost]
+    share: float
+
+    @classmethod
+    def measured(cls, plan: Plan, few: int, many: int) -> Costs:
+        """Measure few and many arms of a plan."""
+        share = waiting()  # first, since it loads Dask
+        one, two = ((measured(plan, few, w), measured(plan, many, w)) for w in (1, 2))
+        return cls(one, two, share)
+
+    @property
+    def efficiency(self) -> float:
+        """Time of a unit at one worker over that of all processes at two."""
+        unit, _ = further(*self.one, self.share)
+        return unit / sum(further(*self.two, self.share))
+
+
+def costs(found: Costs, log_bytes: float) -> list[Table]:
+    """Cost of a unit, and a plan for ten thousand arms.
+
+    Args:
+        found: What was measured.
+        log_bytes: Size of the logs of a unit.
+    """
+    few, many = found.one
+    unit, overhead = further(few, many, found.share)
     loading = max(0.0, many.children - unit * many.units)
-    whole = _ARMS * _WEEKS
-    hours = whole * unit / 3600
     rows = (
         ("processor time of a unit, with its baseline", f"{1e3 * unit:.0f} ms"),
-        ("logs per hour and core", f"{3600 / unit:,.0f}"),
+        ("units per hour and core", f"{3600 / unit:,.0f}"),
         ("overhead of a unit where the work is handed out", f"{1e3 * overhead:.1f} ms"),
+        ("– share of a core that waiting takes", f"{100 * found.share:.1f} %"),
+        ("efficiency at two workers", f"{found.efficiency:.2f}"),
         ("loading of a child, once", f"{loading:.1f} s"),
         ("memory of a child, at the most", f"{many.child_mb:.0f} MB"),
         ("memory of client, scheduler and analysis", f"{many.parent_mb:.0f} MB"),
-        ("size of a log, of its rows", f"{log_bytes / 1e3:.0f} kB, "
+        ("size of its logs, of its rows", f"{log_bytes / 1e3:.0f} kB, "
          f"{many.stored / many.units / 1e3:.1f} kB"),
     )  # fmt: skip
-    plan = (
-        ("units", f"{whole:,}"),
-        ("processor time of the children", f"{hours:,.0f} h"),
-        ("of the process that hands out", f"{whole * overhead / 3600:.1f} h"),
-        ("cores that it keeps busy", f"{unit / overhead:,.0f}"),
-        (
-            "wall time on 64 cores, computed",
-            f"{max(hours / 64, whole * overhead / 3600):.1f} h",
-        ),
-        ("cost at 0.05 $ a core hour", f"{hours * _CORE_HOUR:,.2f} $"),
-        ("bytes read", f"{whole * log_bytes / 1e9:,.0f} GB"),
-        ("bytes stored", f"{whole * many.stored / many.units / 1e9:,.1f} GB"),
-        ("units at the scheduler at a time, 64 cores", f"{_WAITING * 64}"),
-    )
-    measured_on = f"{count:,} units more at one worker, processor time"
+    measured_on = f"{many.units - few.units:,} units more, processor time"
     return [
         Table(("cost", ""), rows, f"Cost, from {measured_on}"),
-        Table((f"{_ARMS:,} arms, {_WEEKS} weeks", ""), plan, "Computed, not run"),
+        _large_fleet(unit, overhead, many, log_bytes),
     ]
+
+
+def _large_fleet(unit: float, overhead: float, many: Cost, log_bytes: float) -> Table:
+    """What the same units cost for ten thousand arms; times in [s]."""
+    whole = _ARMS * _WEEKS
+    hours = whole * unit / 3600
+    parent, each = whole * overhead / 3600, whole / many.units / 1e9
+    # A model goes from the child that identified it to the client, and back.
+    moved = each * many.rows + 2 * _ARMS * many.model / 1e9
+    rows = (
+        ("units", f"{whole:,}"),
+        ("processor time of the children", f"{hours:,.0f} h"),
+        ("of the process that hands out", f"{parent:.1f} h"),
+        ("cores that it keeps busy", f"{unit / overhead:,.0f}"),
+        ("wall time on 64 cores, computed", f"{max(hours / 64, parent):.1f} h"),
+        ("cost at 0.05 $ a core hour", f"{hours * _CORE_HOUR:,.2f} $"),
+        ("bytes moved: logs that workers read", f"{whole * log_bytes / 1e9:,.0f} GB"),
+        ("bytes moved: models and rows", f"{moved:,.1f} GB"),
+        ("bytes stored", f"{each * many.stored:,.1f} GB"),
+        ("units at the scheduler at a time, 64 cores", f"{_WAITING * 64}"),
+    )
+    return Table((f"{_ARMS:,} arms, {_WEEKS} weeks", ""), rows, "Computed, not run")

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fleet_costs import costs, measured
+from fleet_costs import Costs, costs
 from fleet_plant import Arm, line, record
 from fleet_scores import by_kind, false_alarms, outcomes
 from outputs import command_line
@@ -71,9 +71,8 @@ def main() -> None:
     for name, each in variants(plan, found).items():
         runs[name] = outcomes(each, arms, joints)
         tables += [by_kind(runs[name], name), false_alarms(each, arms, name)]
-    taken = [measured(plan, *x) for x in ((2, 1), (8, 1))]
     sizes = [x.stat().st_size for x in args.logs.rglob("*.parquet")]
-    tables += costs(*taken, sum(sizes) / len(sizes))
+    tables += costs(Costs.measured(plan, 2, 8), sum(sizes) / len(sizes))
     args.out.mkdir(parents=True, exist_ok=True)
     command = (
         f"python experiments/fleet_study.py --healthy {args.healthy} "

@@ -3,8 +3,10 @@
 A table appears for a UR10, a Stäubli TX40 and a KUKA KR300: RMS torque error on moving
 samples that no fit has seen, at the rate of the log, beside the better of plain and
 weighted least squares with linear friction, and beside each stage of the published
-chain. UR10 and TX40 have one log each: every third block is held out, and each of the
-three ways to do so is scored. The KR300 has two logs.
+chain. The worst joint of our ladder is against the better of the two at that joint,
+with the standard error of that change over the seconds that were held out. UR10 and
+TX40 have one log each: every third block is held out, and each of the three ways to do
+so is scored. The KR300 has two logs.
 
     python experiments/real_arms.py DATA_FOLDER
 """
@@ -19,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from outputs import command_line
 from published_chain import beside, published_chain
-from real_arms_data import ARMS, Arm, Score
+from real_arms_data import ARMS, Arm, Score, held_out_squares
 from real_arms_report import arm_table, ratio_figure
 from rich.console import Console
 
@@ -52,7 +54,8 @@ def measure(arm: Arm, data: Path) -> Iterator[Score]:
         both = replace(fit.model, simpler=beside(chain, fit.model))
         validation = validate(both, [scoring], standing=standing)
         said = tuple(str(x.message) for x in caught)
-        yield Score(arm, held_out, fit, validation, said)
+        squares = held_out_squares(fit, scoring, standing)
+        yield Score(arm, held_out, fit, validation, squares, said)
 
 
 def main() -> None:

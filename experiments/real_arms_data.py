@@ -13,7 +13,7 @@ from hybrid import Fit, Motion
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.transmission_coupling import TransmissionCoupling
-from hybrid.identification import Validation, ValidationRow
+from hybrid.identification import DynamicModel, Validation, ValidationRow
 
 
 @dataclass(frozen=True)
@@ -61,22 +61,44 @@ ARMS = (
 
 @dataclass(frozen=True)
 class Score:
-    """One split of one arm: what was fitted, and its errors on what was held out."""
+    """One split of one arm: what was fitted, and its errors on what was held out.
+
+    Attributes:
+        arm: The arm.
+        held_out: What was held out, in words.
+        fit: The identification.
+        validation: Errors of all stages.
+        squares: Squares of LS or WLS, the better at each joint by what the fit itself
+            held out, and of the last stage, in each second, shape (2, B, n), [N²·m²].
+        warnings: What the identification said.
+    """
 
     arm: Arm
     held_out: str
     fit: Fit
     validation: Validation
+    squares: Array
     warnings: tuple[str, ...]
 
     @property
     def ratio(self) -> Array:
-        """RMS of the last stage over that of plain least squares, shape (n,)."""
-        return np.asarray(self.validation.rows[-1].rms / self.plain.rms)
+        """RMS of the last stage over that of the better of LS and WLS, shape (n,)."""
+        return self._ratio(self.squares.sum(axis=1))
+
+    @property
+    def ratio_error(self) -> Array:
+        """Standard error of the ratio by leaving out single seconds, shape (n,)."""
+        few = self.squares.sum(axis=1, keepdims=True) - self.squares
+        blocks = self.squares.shape[1]
+        return np.asarray(np.sqrt(blocks - 1) * self._ratio(few).std(axis=0))
+
+    @staticmethod
+    def _ratio(squares: Array) -> Array:
+        return np.asarray(np.sqrt(squares[1] / squares[0]))
 
     @property
     def plain(self) -> ValidationRow:
-        """The better of least squares and weighted least squares."""
+        """The better of least squares and weighted least squares, in the mean."""
         plain = [x for x in self.validation.rows if x.name in ("LS", "WLS")]
         return min(plain, key=lambda row: row.mean)
 
@@ -96,7 +118,32 @@ class Score:
             "arm": self.arm.name,
             "held_out": self.held_out,
             "validation": self.validation.as_dict() | {"sources": sources},
+            "ratio": self.ratio,
+            "ratio_error": self.ratio_error,
             "condition": self.fit.condition,
             "unidentifiable": self.fit.unidentifiable,
             "warnings": self.warnings,
         }
+
+
+def held_out_squares(fit: Fit, motion: Motion, standing: Array) -> Array:
+    """Squares of plain least squares and of a fit, by second; see :class:`Score`.
+
+    Args:
+        fit: The identification.
+        motion: The motion to score on.
+        standing: Speed below which a joint stands, shape (n,), [rad/s].
+    """
+    moving = (np.abs(motion.v) > standing) & motion.mask[:, None]
+    second = (motion.t - motion.t[0]).astype(int)
+
+    def squares(model: DynamicModel) -> Array:
+        residual = np.where(moving, motion.tau - model.predict(motion), 0.0)
+        found = np.stack([np.bincount(second, x) for x in residual.T**2], axis=1)
+        return found[np.unique(second[motion.mask])]
+
+    simpler, errors = fit.model.simpler, fit.held_out
+    plain = np.where(
+        errors["LS"] < errors["WLS"], squares(simpler["LS"]), squares(simpler["WLS"])
+    )
+    return np.stack([plain, squares(fit.model)])

@@ -26,7 +26,12 @@ def arm_table(scores: Sequence[Score]) -> Table:
                 against = _against(row.rms, score.plain.rms)
                 rows.append(_row(row.name, row.rms, against, decimals))
         last = score.validation.rows[-1].rms
-        against = _against(last, score.plain.rms)
+        worst = int(score.ratio.argmax())
+        change, error = score.ratio[worst] - 1, score.ratio_error[worst]
+        against = (
+            _against(last, score.plain.rms)[0],
+            f"{100 * change:+.1f} ± {100 * error:.1f} %",
+        )
         rows.append(_row(f"ours, {score.held_out}", last, against, decimals))
     numbers = tuple(f"{k + 1}" for k in range(len(scores[0].plain.rms)))
     header = ("joint", *numbers, "mean", "vs plain LS", "worst joint")

@@ -1,5 +1,7 @@
 """Distances between links: geometry, gradients, and motions that keep them."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from hybrid.excitation.clearance import (
     ends_in_world,
     point_change,
 )
+from hybrid.excitation.constraints import TorqueLimits
 from hybrid.excitation.path import Path, uniform
 from hybrid.robot import Robot
 from hybrid.robot.chain import zero_frames
@@ -30,8 +33,11 @@ COMAN = Robot.load(MODELS / "coman_like.xml")
 
 
 def still(q):
-    zero = np.zeros_like(q)
-    return Path(np.arange(float(len(q))), q, zero, zero, zero)
+    return path_of(q, np.zeros_like(q), np.zeros_like(q))
+
+
+def path_of(q, v, a):
+    return Path(np.arange(float(len(q))), q, v, a, np.zeros_like(q))
 
 
 def test_closest_points_are_no_farther_than_any_others():
@@ -207,6 +213,28 @@ def test_slopes_are_those_of_finite_differences(kind):
             ahead = constraint.excess(still(q + step))[:, k]
             change = ahead - constraint.excess(still(q - step))[:, k]
             np.testing.assert_allclose(slope[:, 0, j], change / 2e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["coman_like.xml", "z1"])
+def test_slopes_of_torque_are_those_of_finite_differences(name):
+    robot = Robot.load(MODELS / name) if name.endswith("xml") else public_arm(name)
+    n, rng = robot.size, np.random.default_rng(2)
+    # Friction of every declared kind, and a spring.
+    kinds = ("quadratic", "cubic", "damping", "frictionloss", "stiffness")
+    robot = replace(robot, **{x: rng.uniform(0.5, 2.0, n) for x in kinds})
+    constraint = TorqueLimits(robot, rng.uniform(10.0, 20.0, n))
+    states = rng.normal(size=(3, 6, n))
+    for k in range(2 * n):
+        slope = constraint.slope(path_of(*states), np.full(6, k))
+        assert np.abs(slope[:, 3]).max() == 0  # torque does not depend on the jerk
+        for order in range(3):
+            for j in range(n):
+                step = np.zeros_like(states)
+                step[order, :, j] = 1e-6
+                ahead = constraint.excess(path_of(*states + step))[:, k]
+                change = ahead - constraint.excess(path_of(*states - step))[:, k]
+                expected = change / 2e-6
+                np.testing.assert_allclose(slope[:, order, j], expected, atol=1e-6)
 
 
 def test_a_design_keeps_links_apart_and_above_the_floor():

@@ -1,6 +1,7 @@
 """The ladder's gate, its prior, and what its terms do where nothing was seen."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification import identify, validate
 from hybrid.identification.data import Data
-from hybrid.identification.gate import lowers
+from hybrid.identification.gate import lowers, with_accepted
 from hybrid.identification.preparation import decimated_motion
+from hybrid.identification.solver import Solver
 from hybrid.regression.prior import file_prior, link_std
 from hybrid.regression.problem import part
 
@@ -48,6 +50,34 @@ def test_the_best_of_many_rungs_has_to_gain_more():
     before = np.zeros((48, 2000))
     after = before + rng.standard_normal(before.shape)
     assert lowers(before, after, tried=100).sum() < 0.1 * lowers(before, after).sum()
+
+
+def test_a_term_refused_at_first_is_judged_beside_those_that_were_accepted():
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((48, 2))
+    # Without its own term, joint 1 loses by what joint 0 gains.
+    squares = {(): [9.0, 9.0], (0,): [1.0, 10.0], (0, 1): [1.0, 9.1]}
+
+    def fitted(terms):
+        common = noise if terms else rng.standard_normal((48, 2))
+        return SimpleNamespace(squares=np.array(squares[tuple(sorted(terms))]) + common)
+
+    start, options = fitted({}), [{0: ["a"], 1: ["b"]}]
+    assert not lowers(start.squares, fitted(options[0]).squares)[1]
+    found = with_accepted(start, options, fitted)
+    np.testing.assert_array_equal(found.squares, fitted(options[0]).squares)
+
+
+def test_a_joint_that_may_be_worse_than_least_squares_counts_against_a_solution():
+    rng = np.random.default_rng(4)
+    solver = Solver(arm("planar"), None, "irls", robust=False)
+    solver.reference = reference = rng.chisquare(20, (48, 2))
+    sure, unsure = reference * [0.9, 0.99], reference * [0.89, 0.98]
+    unsure[:, 1] *= 1 + 0.4 * rng.permutation(np.linspace(-1, 1, 48))
+    unsure *= reference.sum(axis=0) * [0.89, 0.98] / unsure.sum(axis=0)
+    assert (unsure.sum(axis=0) < sure.sum(axis=0)).all()
+    assert solver.cost(unsure, harm=0.0) < solver.cost(sure, harm=0.0)
+    assert solver.cost(unsure) > solver.cost(sure)
 
 
 # --- the prior ------------------------------------------------------------------------

@@ -23,7 +23,7 @@ DATA = Path(os.environ.get("HYBRID_DATA", BESIDE))
 MOST_LOSS = 0.02
 
 
-def blocks(name, *, seconds, cutoff):
+def blocks(name, *, seconds, cutoff, first=2):
     """An arm, two thirds of its log to fit, and every third block to score."""
     folder = DATA / name
     if not (folder / "robot.urdf").is_file():
@@ -31,7 +31,7 @@ def blocks(name, *, seconds, cutoff):
     robot, _ = quiet(Robot.load, folder / "robot.urdf")
     (log,), _ = quiet(read_all, [folder], joints=robot.joints)
     motion = motion_from_recording(log, cutoff=2 * cutoff)
-    held_out = ((motion.t - motion.t[0]) // seconds).astype(int) % 3 == 2
+    held_out = ((motion.t - motion.t[0]) // seconds).astype(int) % 3 == first
     fitting, scoring = (
         replace(motion, mask=motion.mask & use) for use in (~held_out, held_out)
     )
@@ -62,8 +62,11 @@ def assert_better_than_least_squares(
     return fit
 
 
-def test_ur10_at_125_hertz():
-    robot, fitting, scoring = blocks("ur10_salerno", seconds=1.0, cutoff=10.0)
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_ur10_at_125_hertz(first):
+    robot, fitting, scoring = blocks(
+        "ur10_salerno", seconds=1.0, cutoff=10.0, first=first
+    )
     assert_better_than_least_squares(
         robot, fitting, scoring, 0.02, cut=0.35, cutoff=10.0
     )

@@ -190,6 +190,8 @@ def test_a_name_that_is_no_text_and_a_gear_beyond_all_measure(tmp_path, capfd):
     plain = urdf(link("a"), link("b"), joint("j", "a", "b"))
     path.write_bytes(plain.encode().replace(b"name='r'", b"name='\xd3'"))
     assert "not UTF-8" in refused(path, capfd)
+    path.write_text(plain[:-3])
+    assert "not UTF-8" not in refused(path, capfd)
     drive = (
         "<transmission name='t'><joint name='j'/><actuator name='m'>"
         "<drake:rotor_inertia value='1'/><drake:gear_ratio value='1e300'/>"

@@ -139,6 +139,17 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("servo")
 
 
+@pytest.mark.parametrize("count", [0, 4, 6])
+def test_the_sentence_names_four_findings_and_counts_the_others(count, folder):
+    fit = found(folder, stiffness=0.6)
+    several = [replace(fit.findings[0], joint=f"j{k}") for k in range(count)]
+    said = replace(fit, findings=tuple(several)).sentence
+    assert [f"at j{k}" in said for k in range(6)] == [
+        k < min(count, 4) for k in range(6)
+    ]
+    assert ("and 2 more" in said) == (count == 6) and said.count(" more") == (count > 4)
+
+
 def test_a_soft_servo_is_found_where_it_is(folder):
     fit = found(folder, stiffness=0.6)
     first = fit.findings[0]

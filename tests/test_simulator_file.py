@@ -35,6 +35,7 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
 from hybrid.exports.simulator.check import file_torque
+from hybrid.exports.simulator.friction import approximate_friction, curve
 from hybrid.model.declared import declared_effects
 from hybrid.plant import Plant, install, simulate
 from hybrid.plant.inverse import file_inverse_dynamics
@@ -563,6 +564,26 @@ def test_friction_that_rises_to_a_level_is_written_and_read_back(dry, tmp_path):
     np.testing.assert_allclose(
         build_simulator(heavier).robot.knee_speed, again.knee_speed, rtol=1e-9
     )
+
+
+@pytest.mark.parametrize("share", [0.4, 0.6, 0.8])
+def test_friction_whose_slope_falls_and_rises_is_approximated(share):
+    robot = Robot.load(MODELS / "planar.xml")
+    moved = [(m, RigidBody(robot.chain, m)) for m in motions(robot, count=1)]
+    fastest = np.abs(moved[0][0].v[:, 1]).max()
+    w = share * fastest
+    law = (
+        Viscous((1,), {"coefficient": 2.0}),
+        NonlinearViscous((1,), {"quadratic": -4.0 / w, "cubic": 2.0 / w**2}),
+    )
+    fields = ("frictionloss", "damping", "quadratic", "cubic")
+    found = approximate_friction(law, {}, moved, fields)
+    # Of nine curves, none has this law's own w; straight lines leave half of it.
+    assert found.missed < 0.15 * found.torque
+    plain = approximate_friction(law, {}, moved, fields[:2])
+    assert plain.missed > 3 * found.missed
+    v = np.linspace(-2 * fastest, 2 * fastest, 401)
+    assert (curve(found.values, v) * v >= -1e-9).all()
 
 
 def test_ripple_is_cogging_of_a_motor_that_nothing_commands(tmp_path):

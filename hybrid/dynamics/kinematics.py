@@ -90,17 +90,15 @@ def _shift_and_turn(chain: Chain, k: int, q: Array, state: Array) -> Array:
 
 def _turn(chain: Chain, k: int, q: Array, x: Array) -> Array:
     """R(q)ᵀ x without the zeros of R; x has shape (3, K, N)."""
-    constant, sine, cosine = rotation_terms(chain, k)
-    sin_q, cos_q = np.sin(q), np.cos(q)
+    parts = tuple(
+        zip(rotation_terms(chain, k), (1.0, np.sin(q), np.cos(q)), strict=True)
+    )
     out = np.zeros_like(x)
     for c in range(3):
         for r in range(3):
-            if sine[r, c] == 0 and cosine[r, c] == 0:
-                if constant[r, c] != 0:
-                    out[c] += constant[r, c] * x[r]
-                continue
-            entry = constant[r, c] + sine[r, c] * sin_q + cosine[r, c] * cos_q
-            out[c] += entry * x[r]
+            entry = [A[r, c] * part for A, part in parts if A[r, c] != 0]
+            if entry:
+                out[c] += sum(entry[1:], entry[0]) * x[r]
     return out
 
 

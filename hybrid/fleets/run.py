@@ -23,6 +23,13 @@ if TYPE_CHECKING:
 
 _QUEUED = 4  # units per thread at the scheduler
 _CONNECT = 30.0  # s
+# What a local cluster does beside its work takes a share of a core, busy or not:
+# samples of stacks each 10 ms, ticks each 20 ms, the state of the machine each 0.5 s.
+_QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+}
 
 
 @contextmanager
@@ -33,6 +40,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
         HybridError: Dask is not installed, or no scheduler answers.
     """
     check_extra("distributed", "fleet", "A fleet")
+    import dask
     from distributed import Client, LocalCluster
 
     try:
@@ -42,6 +50,7 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
             return
         logging.getLogger("distributed").setLevel(logging.ERROR)
         with (
+            dask.config.set(_QUIET),
             LocalCluster(
                 n_workers=1,
                 threads_per_worker=workers,

@@ -7,11 +7,17 @@ gain over the blocks exceeds its own uncertainty.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from hybrid.arrays import Array
+from hybrid.effects import Effect
+from hybrid.identification.solution import Solution
+
+Terms = Mapping[int, list[Effect]]  # the effects of each joint
 
 _CHANCE = 0.025  # probability that noise alone passes
 
@@ -27,3 +33,36 @@ def lowers(before: Array, after: Array, *, tried: int = 1) -> NDArray[np.bool_]:
     gain = before - after
     error = np.sqrt(((gain - gain.mean(axis=0)) ** 2).sum(axis=0))
     return np.asarray(gain.sum(axis=0) > -ndtri(_CHANCE / tried) * error)
+
+
+def with_accepted(
+    start: Solution,
+    options: Sequence[Terms],
+    fitted: Callable[[Terms], Solution],
+    *,
+    tried: int = 1,
+) -> Solution:
+    """The start with the first option that lowers the error, at each joint.
+
+    What a term is worth depends on the terms of the other joints. So a refused one is
+    judged again beside those that were accepted.
+
+    Args:
+        start: The solution without new terms.
+        options: New terms of each joint, those to try first in front.
+        fitted: Function from new terms to the solution with them.
+        tried: Number of terms of which each is the best.
+    """
+    best, accepted = start, dict[int, list[Effect]]()
+    for option in options:
+        pending = {j: x for j, x in option.items() if j not in accepted}
+        together = fitted({**accepted, **pending}) if pending else best
+        while True:
+            gains = lowers(best.squares, together.squares, tried=tried)
+            new = {j: x for j, x in pending.items() if gains[j]}
+            if not new:
+                break
+            accepted |= new
+            pending = {j: x for j, x in pending.items() if j not in new}
+            best = fitted(accepted) if pending else together
+    return best

@@ -28,7 +28,7 @@ from hybrid.identification.consistency import physically_consistent
 from hybrid.identification.data import FOLDS, Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
-from hybrid.identification.gate import lowers
+from hybrid.identification.gate import with_accepted
 from hybrid.identification.preparation import linear_effects
 from hybrid.identification.remainder import Learned, fit_remainder
 from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
@@ -298,23 +298,12 @@ class Identification:
         *,
         tried: int = 1,
     ) -> Solution:
-        """The start with the first option that lowers the error, at each joint."""
-        accepted: dict[int, list[Effect]] = {}
-        for candidates in options:
-            pending = {j: x for j, x in candidates.items() if j not in accepted}
-            if not pending:
-                continue
-            found = self.solver.with_effects(
-                start, self._with_candidates(start, {**accepted, **pending})
-            )
-            gains = lowers(start.squares, found.squares, tried=tried)
-            accepted |= {j: x for j, x in pending.items() if gains[j]}
-            refused = [j for j in pending if j not in accepted]
-        if not accepted:
-            return start
-        if refused:
-            effects = self._with_candidates(start, accepted)
-            found = self.solver.with_effects(start, effects)
+        """The start with the terms that pass the gate, unless it is better without."""
+
+        def fitted(at: Mapping[int, list[Effect]]) -> Solution:
+            return self.solver.with_effects(start, self._with_candidates(start, at))
+
+        found = with_accepted(start, options, fitted, tried=tried)
         return min(start, found, key=lambda x: self.solver.cost(x.squares))
 
     def _with_candidates(

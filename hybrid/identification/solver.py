@@ -2,7 +2,11 @@
 
 The candidates are the three estimators, each with a prior from the robot file of some
 strength. The error of a joint is relative to the better of ordinary and weighted least
-squares.
+squares. A rise counts more than a fall, and a joint counts as risen unless its error
+has fallen by more than one standard error.
+
+Source: Breiman et al. 1984, "Classification and Regression Trees", section 3.4.3 (the
+rule of one standard error).
 """
 
 from __future__ import annotations
@@ -42,7 +46,8 @@ class Solver:
     ) -> None:
         self._robot, self._data, self._robust = robot, data, robust
         self._estimators = ESTIMATORS[: ESTIMATORS.index(estimator) + 1]
-        self.base: Array = np.ones(robot.size)
+
+    reference: Array  # squares of the better of LS and WLS, by block, shape (B, n)
 
     def plain(self, problem: Problem) -> dict[Estimator, Solution]:
         """Solutions by every estimator, without prior and bounds.
@@ -52,9 +57,14 @@ class Solver:
         """
         data = self._data
         found = {x: self._solution(data, problem, x, bounded=False) for x in ESTIMATORS}
-        squares = [self.total(found[x].squares) for x in ESTIMATORS[:2]]
-        self.base = np.maximum(np.min(squares, axis=0), 1e-300)
+        ls, wls = (found[x].squares for x in ESTIMATORS[:2])
+        self.reference = np.where(self.total(ls) < self.total(wls), ls, wls)
         return found
+
+    @property
+    def base(self) -> Array:
+        """Sum of the reference over all blocks, shape (n,), [N²·m²]."""
+        return np.maximum(self.total(self.reference), 1e-300)
 
     def linearised(self, problem: Problem) -> tuple[Problem, bool]:
         """The problem linearised about the gains of effects that change signals.
@@ -153,8 +163,11 @@ class Solver:
 
     def cost(self, squares: Array, harm: float = _HARM) -> float:
         """Mean log of the held-out RMS over plain LS, with a penalty on each rise."""
-        level = 0.5 * np.log(np.maximum(self.total(squares), 1e-300) / self.base)
-        return float(np.mean(level + harm * np.maximum(level, 0.0)))
+        total, base = np.maximum(self.total(squares), 1e-300), self.base
+        level = 0.5 * np.log(total / base)
+        changes = 0.5 * (squares / total - self.reference / base)  # of the log, (B, n)
+        error = np.sqrt((changes**2).sum(axis=0))
+        return float(np.mean(level + harm * np.maximum(level + error, 0.0)))
 
     def total(self, squares: Array) -> Array:
         """Sum over all blocks, shape (n,), [N²·m²]; see :func:`summed_squares`."""
