@@ -1,5 +1,7 @@
 """Distances between links: geometry, gradients, and motions that keep them."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from hybrid.excitation.clearance import (
     frames,
     point_change,
 )
+from hybrid.excitation.constraints import TorqueLimits
 from hybrid.excitation.path import Path, uniform
 from hybrid.robot import Robot
 from hybrid.robot.chain import zero_frames
@@ -207,6 +210,29 @@ def test_slopes_are_those_of_finite_differences(kind):
             ahead = constraint.excess(still(q + step))[:, k]
             change = ahead - constraint.excess(still(q - step))[:, k]
             np.testing.assert_allclose(slope[:, 0, j], change / 2e-6, atol=1e-6)
+
+
+def test_torque_slopes_are_those_of_finite_differences():
+    planar, rng = Robot.load(MODELS / "planar.xml"), np.random.default_rng(2)
+    robot = replace(
+        planar,
+        coupled=np.array([[0, 1, 0.3, 0.7, 0.0]]),
+        ripple=np.array([[1, 0.2, 0.1, 3.0]]),
+        cubic=np.array([0.1, 0.2]),
+    )
+    limits = TorqueLimits(robot, np.array([2.0, 3.0]))
+    states, t = rng.uniform(-1.0, 1.0, (3, 10, 2)), np.arange(10.0)
+    for k in range(4):
+        slope = limits.slope(Path(t, *states, 0 * states[0]), np.full(10, k))
+        for order, j in np.ndindex(3, 2):
+            step = np.zeros((3, 1, 2))
+            step[order, 0, j] = 1e-6
+            more, less = (
+                limits.excess(Path(t, *x, 0 * x[0]))[:, k]
+                for x in (states + step, states - step)
+            )
+            found = (more - less) / 2e-6
+            np.testing.assert_allclose(slope[:, order, j], found, atol=1e-6)
 
 
 def test_a_design_keeps_links_apart_and_above_the_floor():
