@@ -108,9 +108,14 @@ def moving(model: DynamicModel, motion: Motion, *, ahead: float = 0.0) -> Array:
 
 
 def with_callback(file: Path, case: Case) -> Array:
-    """Torque by which file and callback differ from the model, shape (n,), [N·m].
+    """How file and callback differ from the model, shape (2, n).
 
-    MuJoCo accelerates the arm under the model's torque; the largest over samples.
+    MuJoCo accelerates the arm under the model's torque, at samples where all joints
+    move.
+
+    Returns:
+        Largest torque by which they differ, [N·m], and RMS torque error of file and
+        callback over that of the model.
     """
     model, motion = case.model, case.scoring[0]
     mj = mujoco.MjModel.from_xml_path(str(file))
@@ -125,8 +130,9 @@ def with_callback(file: Path, case: Case) -> Array:
     fast = np.abs(motion.v) > np.maximum(slowest, 2 * np.abs(motion.a) / _DRY)
     fast &= moving(model, motion, ahead=2 / _DRY)
     samples, off = np.flatnonzero(fast.all(axis=1) & motion.mask), []
+    samples = samples[:: max(1, len(samples) // _SAMPLES)]
     added = install(mj, data, model)
-    for k in samples[:: max(1, len(samples) // _SAMPLES)]:
+    for k in samples:
         data.qpos[dofs], data.qvel[dofs] = motion.q[k], motion.v[k]
         data.qacc[dofs], data.qfrc_applied[dofs] = motion.a[k], asked[k]
         for _ in range(_PASSES):  # load-dependent friction is that of the pass before
@@ -136,4 +142,6 @@ def with_callback(file: Path, case: Case) -> Array:
         mujoco.mj_mulM(mj, data, torque, change)
         off.append(torque[dofs])
     added.remove()
-    return np.asarray(np.abs(off).max(axis=0))
+    error = (motion.tau - asked)[samples]
+    rms = [np.sqrt(np.mean(x**2, axis=0)) for x in (error + off, error)]
+    return np.array([np.abs(off).max(axis=0), rms[0] / rms[1]])
