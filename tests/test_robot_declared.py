@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import MODELS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm
@@ -160,6 +161,16 @@ def test_dry_friction_of_a_common_rotor_follows_the_sum_of_the_speeds():
     robot = load(MODELLED["a rotor on the sum of two joints"])
     friction = robot.dry_friction(np.array([[2.0, -1.0], [1.0, -2.0]]))
     np.testing.assert_allclose(friction, [[0.1, 0.1], [-0.1, -0.1]])
+
+
+def test_a_common_rotor_of_the_file_is_simulated_and_identified():
+    planar = Robot.load(MODELS / "planar.xml")
+    robot = replace(planar, coupled=np.array([[0, 1, 0.1, 1.0, 0.5]]))
+    logs = simulate(robot, trajectories=3, seed=0)
+    model = identify(robot, logs, stages=("rigid",)).model
+    (rotor,) = [e for e in model.effects if e.joints == (0, 1)]
+    assert rotor.values["viscous"] == pytest.approx(1.0, rel=0.1)
+    assert rotor.values["coulomb"] == pytest.approx(0.5, rel=0.1)
 
 
 def test_a_rotor_on_the_difference_of_two_joints_is_refused():
