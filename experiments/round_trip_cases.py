@@ -47,12 +47,11 @@ class Case:
     fitting: Sequence[Motion]
     scoring: Sequence[Motion]
 
-    def findings(self, file: Path) -> tuple[str, str]:
-        """Verdict and findings of a diagnosis of a file on motions it has not seen."""
-        robot = Robot.load(file, joints=self.model.robot.joints)
-        found = examine(robot, self.scoring, cutoff=self.model.cutoff).diagnosis
+    def findings(self, arm: Robot | DynamicModel) -> str:
+        """Verdict and findings of a diagnosis on motions that no fit has seen."""
+        found = examine(arm, self.scoring, cutoff=self.model.cutoff).diagnosis
         names = [f"{x.effect} of {', '.join(x.joints)}" for x in found.findings]
-        return found.verdict, "; ".join(names) or "–"
+        return f"{found.verdict}: {'; '.join(names) or '–'}"
 
 
 def cases(data: Path | None) -> Iterator[Case]:
