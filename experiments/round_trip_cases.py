@@ -47,12 +47,11 @@ class Case:
     fitting: Sequence[Motion]
     scoring: Sequence[Motion]
 
-    def findings(self, file: Path) -> tuple[str, str]:
-        """Verdict and findings of a diagnosis of a file on motions it has not seen."""
-        robot = Robot.load(file, joints=self.model.robot.joints)
-        found = examine(robot, self.scoring, cutoff=self.model.cutoff).diagnosis
+    def findings(self, arm: Robot | DynamicModel) -> str:
+        """Verdict and findings of a diagnosis on motions that no fit has seen."""
+        found = examine(arm, self.scoring, cutoff=self.model.cutoff).diagnosis
         names = [f"{x.effect} of {', '.join(x.joints)}" for x in found.findings]
-        return found.verdict, "; ".join(names) or "–"
+        return f"{found.verdict}: {'; '.join(names) or '–'}"
 
 
 def cases(data: Path | None) -> Iterator[Case]:
@@ -108,9 +107,14 @@ def moving(model: DynamicModel, motion: Motion, *, ahead: float = 0.0) -> Array:
 
 
 def with_callback(file: Path, case: Case) -> Array:
-    """Torque by which file and callback differ from the model, shape (n,), [N·m].
+    """How file and callback differ from the model, shape (2, n).
 
-    MuJoCo accelerates the arm under the model's torque; the largest over samples.
+    MuJoCo accelerates the arm under the model's torque, at samples where all joints
+    move.
+
+    Returns:
+        Largest torque by which they differ, [N·m], and RMS torque error of file and
+        callback over that of the model.
     """
     model, motion = case.model, case.scoring[0]
     mj = mujoco.MjModel.from_xml_path(str(file))
@@ -125,8 +129,9 @@ def with_callback(file: Path, case: Case) -> Array:
     fast = np.abs(motion.v) > np.maximum(slowest, 2 * np.abs(motion.a) / _DRY)
     fast &= moving(model, motion, ahead=2 / _DRY)
     samples, off = np.flatnonzero(fast.all(axis=1) & motion.mask), []
+    samples = samples[:: max(1, len(samples) // _SAMPLES)]
     added = install(mj, data, model)
-    for k in samples[:: max(1, len(samples) // _SAMPLES)]:
+    for k in samples:
         data.qpos[dofs], data.qvel[dofs] = motion.q[k], motion.v[k]
         data.qacc[dofs], data.qfrc_applied[dofs] = motion.a[k], asked[k]
         for _ in range(_PASSES):  # load-dependent friction is that of the pass before
@@ -136,4 +141,6 @@ def with_callback(file: Path, case: Case) -> Array:
         mujoco.mj_mulM(mj, data, torque, change)
         off.append(torque[dofs])
     added.remove()
-    return np.asarray(np.abs(off).max(axis=0))
+    error = (motion.tau - asked)[samples]
+    rms = [np.sqrt(np.mean(x**2, axis=0)) for x in (error + off, error)]
+    return np.array([np.abs(off).max(axis=0), rms[0] / rms[1]])

@@ -219,9 +219,12 @@ def test_slopes_are_those_of_finite_differences(kind):
 def test_slopes_of_torque_are_those_of_finite_differences(name):
     robot = Robot.load(MODELS / name) if name.endswith("xml") else public_arm(name)
     n, rng = robot.size, np.random.default_rng(2)
-    # Friction of every declared kind, and a spring.
+    # Friction of every declared kind, a spring, a ripple, and a rotor of two joints.
     kinds = ("quadratic", "cubic", "damping", "frictionloss", "stiffness")
-    robot = replace(robot, **{x: rng.uniform(0.5, 2.0, n) for x in kinds})
+    own = {x: rng.uniform(0.5, 2.0, n) for x in kinds}
+    own |= {"ripple": np.array([[1, 0.2, 0.1, 3.0]])}
+    own |= {"coupled": np.array([[0, 1, 0.3, 0.7, 0.0]])}
+    robot = replace(robot, **own)
     constraint = TorqueLimits(robot, rng.uniform(10.0, 20.0, n))
     states = rng.normal(size=(3, 6, n))
     for k in range(2 * n):

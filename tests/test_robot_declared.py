@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from arms import MODELS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm
@@ -68,7 +69,7 @@ def torque_in_mujoco(model, q, v, a, joints, start=None):
     """MuJoCo's own torque at some joints, without contact, limits and dry friction."""
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
-    model.dof_frictionloss[:] = 0
+    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0
     data = mujoco.MjData(model)
     index = [model.joint(name).id for name in joints]
     dofs, at = model.jnt_dofadr[index], model.jnt_qposadr[index]
@@ -106,6 +107,10 @@ MODELLED = {
     ),
     "a tendon without force": mjcf(
         after="<tendon><fixed name='t'><joint joint='a' coef='1'/></fixed></tendon>"
+    ),
+    "a rotor on the sum of two joints": mjcf(
+        after="<tendon><fixed armature='.3' damping='.5' frictionloss='.2'>"
+        "<joint joint='b' coef='-.5'/><joint joint='a' coef='-.5'/></fixed></tendon>"
     ),
     "an equality that is off": mjcf(
         after="<equality><joint joint1='a' joint2='b' active='false'/></equality>"
@@ -150,6 +155,28 @@ def test_friction_of_a_file_resists_either_way_alike():
     zero = np.zeros_like(v)
     back = robot.joint_torque(zero, -v, zero)
     np.testing.assert_allclose(back, -robot.joint_torque(zero, v, zero))
+
+
+def test_dry_friction_of_a_common_rotor_follows_the_sum_of_the_speeds():
+    robot = load(MODELLED["a rotor on the sum of two joints"])
+    friction = robot.dry_friction(np.array([[2.0, -1.0], [1.0, -2.0]]))
+    np.testing.assert_allclose(friction, [[0.1, 0.1], [-0.1, -0.1]])
+
+
+def test_a_common_rotor_of_the_file_is_simulated_and_identified():
+    planar = Robot.load(MODELS / "planar.xml")
+    robot = replace(planar, coupled=np.array([[0, 1, 0.1, 1.0, 0.5]]))
+    logs = simulate(robot, trajectories=3, seed=0)
+    model = identify(robot, logs, stages=("rigid",)).model
+    (rotor,) = [e for e in model.effects if e.joints == (0, 1)]
+    assert rotor.values["viscous"] == pytest.approx(1.0, rel=0.1)
+    assert rotor.values["coulomb"] == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_rotor_on_the_difference_of_two_joints_is_refused():
+    rotor = f"<fixed name='t' armature='.1'>{ELASTIC}</fixed>"
+    text = mjcf(after=f"<tendon>{rotor}</tendon>")
+    assert "tendon 't' acts on the arm and is not modelled" in refusal(text)
 
 
 def test_weight_that_the_file_takes_off_every_link_is_off_the_drives():

@@ -1,5 +1,7 @@
 """Replays where JAX computes: those of MuJoCo's C, or one clear line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -66,6 +68,15 @@ def test_replays_by_mjx_are_those_of_mujoco(path, monkeypatch):
     assert all(np.abs(x - moved[0]).max() > 1e-3 for x in moved[1:])  # all of them act
     for x, y in zip(moved, map(np.concatenate, found), strict=True):
         assert np.sqrt(np.mean((x - y) ** 2, axis=0)).max() < 1e-6
+
+
+def test_damping_that_mjx_ignores_is_refused(path):
+    from hybrid.servo.accelerated import GpuRollout
+
+    robot = Robot.load(path)
+    curved = replace(robot, cubic=np.array([0.0, 0.1, 0.0]))
+    with pytest.raises(HybridError, match="quadratic and cubic damping of lift;"):
+        GpuRollout(curved)
 
 
 def test_without_jax_one_line_says_what_to_install(path, tmp_path, monkeypatch, capsys):

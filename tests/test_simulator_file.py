@@ -271,6 +271,30 @@ def test_a_coupled_rotor_is_a_tendon(own, tmp_path):
     made.write(tmp_path / "sim.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "sim.xml"))
     assert model.ntendon == 1 and model.tendon_armature[0] == 0.01
+    again = Robot.load(tmp_path / "sim.xml")
+    assert again.coupled.tolist() == [[0, 1, 0.01, 0.2, 0.1]]
+    (coupling,) = [e for e in declared_effects(again) if len(e.joints) == 2]
+    assert coupling.values == values
+    assert Robot.from_dict(again.as_dict()).coupled.tolist() == again.coupled.tolist()
+
+
+def test_a_coupled_rotor_of_the_file_takes_the_change(own, tmp_path):
+    first = TransmissionCoupling((0, 1), {"inertia": 0.01, "viscous": 0.2})
+    build_simulator(own, [first], folder=tmp_path).write(tmp_path / "sim.xml")
+    text = (tmp_path / "sim.xml").read_text()
+    for number, halved in (("0.01", "0.04"), ("0.2", "0.8")):  # at half the length
+        text = text.replace(f'"{number}"', f'"{halved}"')
+    (tmp_path / "sim.xml").write_text(text.replace('coef="1.0"', 'coef="0.5"'))
+    again = Robot.load(tmp_path / "sim.xml")
+    np.testing.assert_allclose(again.coupled, [[0, 1, 0.01, 0.2, 0.0]])
+    change = {"inertia": 0.02, "viscous": -0.3, "coulomb": 0.4}
+    made = build_simulator(again, [TransmissionCoupling((1, 0), change)])
+    np.testing.assert_allclose(made.robot.coupled, [[0, 1, 0.03, 0.0, 0.4]])
+    (below,) = made.rest  # which MuJoCo would refuse
+    assert below.values["viscous"] == pytest.approx(-0.1)
+    assert "viscous -0.1" in made.notes[-1]
+    made.write(tmp_path / "new.xml")
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml")).ntendon == 1
 
 
 def test_a_twisting_gear_without_rotor_is_refused(own):

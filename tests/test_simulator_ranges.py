@@ -11,6 +11,7 @@ import pytest
 from simulated import arm
 
 from hybrid.dynamics.pseudo_inertia import is_consistent
+from hybrid.effects import effect_class
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.errors import HybridError
 from hybrid.exports import export, ranges, sample
@@ -143,6 +144,44 @@ def test_events_of_isaac_lab_are_the_intervals(tmp_path, monkeypatch):
     for j, term in enumerate(found["EVENTS"].values()):
         both = term["params"]["friction_distribution_params"]
         assert both == pytest.approx((max(low[j], 0.0), high[j]))
+
+
+@pytest.mark.parametrize("impl", ["jax", "warp"])
+def test_the_function_for_mjx_refuses_damping_that_jax_ignores(
+    impl, tmp_path, monkeypatch
+):
+    export(fitted().model, tmp_path, format="ranges")
+    text = (tmp_path / "planar_mjx.py").read_text()
+    library = types.SimpleNamespace(numpy=types.SimpleNamespace(array=list))
+    monkeypatch.setitem(sys.modules, "jax", library)
+    monkeypatch.setitem(sys.modules, "jax.numpy", library.numpy)
+    names = {}
+    exec(compile(text, "x", "exec"), names)
+    names["_FIELDS"] = [("dof_dampingpoly", 0, True)]
+    model = types.SimpleNamespace(impl=types.SimpleNamespace(value=impl))
+    wanted = {
+        "jax": (NotImplementedError, "MJX on JAX ignores quadratic"),
+        "warp": (AttributeError, "joint"),
+    }  # it goes on
+    error, message = wanted[impl]
+    with pytest.raises(error, match=message):
+        names["domain_randomize"](model, None, types.SimpleNamespace())
+
+
+@pytest.mark.parametrize("format", ["mjcf", "urdf", "ranges"])
+def test_an_export_says_what_mjx_on_jax_does_not_take(format, tmp_path):
+    model = fitted().model
+    more = (
+        effect_class("nonlinear_viscous")((0,), {"cubic": 0.02}),
+        effect_class("torque_ripple")((1,), {"sine": 0.1, "periods": 4.0}),
+    )
+    curved = replace(model, effects=(*model.effects, *more), simpler={})
+    notes = [x for x in export(curved, tmp_path, format=format) if "MJX" in x]
+    lost = [
+        "for MJX on JAX: quadratic and cubic damping of shoulder, which it ignores",
+        "for MJX on JAX: ripple or falling friction of elbow, which it refuses",
+    ]
+    assert notes == ([] if format == "urdf" else lost)
 
 
 def test_the_function_for_mjx_draws_the_models_numbers(tmp_path):

@@ -231,4 +231,9 @@ class TorqueLimits:
         out[samples, 1, j] += 3 * robot.cubic[j] * speed**2
         out[samples, 1, j] += robot.frictionloss[j] * turn / TURNING_SPEED
         out[samples, 2, j] += chain.armature[j]
+        for first, second, inertia, damping, _ in robot.coupled:
+            pair = [int(first), int(second)]
+            own = np.isin(j, pair)[:, None]
+            out[:, 1, pair] += damping * own
+            out[:, 2, pair] += inertia * own
         return np.asarray(out * (sign[which] / self.limit[j])[:, None, None])

@@ -11,7 +11,7 @@ from hybrid.exports.manifest import build_manifest, model_digest, seal
 from hybrid.exports.onnx_graph import onnx_model
 from hybrid.exports.program import program_from_model
 from hybrid.exports.simulator.model import model_simulator
-from hybrid.exports.simulator.snippets import isaac_lab, write_ranges
+from hybrid.exports.simulator.snippets import isaac_lab, mjx_notes, write_ranges
 from hybrid.extras import check_extra
 from hybrid.files import atomic_folder
 from hybrid.model.dynamic_model import DynamicModel
@@ -72,11 +72,12 @@ def export(
             edited = model_simulator(model, kind=format, motions=motions, folder=folder)
             edited.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
             left_out = edited.notes
+            left_out += tuple(mjx_notes(edited.robot)) if format == "mjcf" else ()
         elif format == "isaaclab":
             text, left_out = isaac_lab(model, motions)
             (hidden / f"{stem}_isaaclab.py").write_text(text, encoding="utf-8")
         elif format == "ranges":
-            write_ranges(model, hidden, stem)
+            left_out = write_ranges(model, hidden, stem)
         else:
             program = program_from_model(model)
             left_out, memory = program.left_out, program.memory_names

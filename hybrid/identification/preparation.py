@@ -16,6 +16,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
 from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
 from hybrid.identification.data import FOLDS, Data, fastest
@@ -171,7 +172,7 @@ def linear_effects(robot: Robot) -> list[Effect]:
         for j in range(robot.size)
         if not (cls is TorqueOffset and j in sprung)
     ]
-    more = (Spring, NonlinearViscous)
+    more = (Spring, NonlinearViscous, TransmissionCoupling)
     found = [e for e in declared_effects(robot) if isinstance(e, more)]
     return [*usual, *(type(e)(e.joints) for e in found)]
 

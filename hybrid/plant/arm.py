@@ -186,7 +186,8 @@ def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
 
     model = robot.mujoco_spec().compile()
     model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
-    model.dof_dampingpoly[:] = 0.0
+    model.dof_dampingpoly[:] = model.tendon_damping[:] = 0.0
+    model.tendon_frictionloss[:] = 0.0
     data = mujoco.MjData(model)
     torque = np.empty_like(q)
     for k in range(len(q)):

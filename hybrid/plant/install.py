@@ -15,7 +15,7 @@ from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.joint_fields import split_effects, springs
 from hybrid.plant.laws import Laws, part
 from hybrid.robot.actuators import passive_motors
-from hybrid.robot.mjcf import knee_slope, single_tendons
+from hybrid.robot.mjcf import knee_slope, sum_tendons
 from hybrid.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -87,8 +87,8 @@ class Installed:
         rising = [d for d in dof if np.isfinite(knee_slope(model)[d])]
         model.dof_solref[rising] = 2.0 * model.opt.timestep, 1.0
         model.dof_solimp[rising, :2] = IMPEDANCE
-        tendons = [t for t, at, _ in single_tendons(model) if at in dof]
-        model.tendon_frictionloss[tendons] = 0.0
+        single = [t for t, own, _ in sum_tendons(model) if own in joints[:, None]]
+        model.tendon_frictionloss[single] = 0.0
         motors = [a for a, joint, _ in passive_motors(model) if joint in joints]
         for size in (0, 3, 4):  # of cogging, and of bristles' friction
             model.actuator_biasprm[motors, size] = 0.0

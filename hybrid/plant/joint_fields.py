@@ -16,6 +16,7 @@ from hybrid.effects.spring import Spring
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.robot import Robot
 
@@ -109,6 +110,38 @@ def ripples(robot: Robot) -> list[Effect]:
 def falls(robot: Robot) -> list[Effect]:
     """Friction of a robot file that falls with speed."""
     return [fall(int(j), level, speed) for j, level, speed in robot.falling.tolist()]
+
+
+def couplings(robot: Robot) -> list[Effect]:
+    """Rotors of a robot file that turn with the sum of two joints."""
+    names = [gain.name for gain in TransmissionCoupling.gains]
+    return [
+        TransmissionCoupling((int(i), int(j)), dict(zip(names, forces, strict=True)))
+        for i, j, *forces in robot.coupled.tolist()
+    ]
+
+
+def coupled_rows(
+    effects: Sequence[TransmissionCoupling],
+) -> tuple[Array, list[Effect]]:
+    """Couplings as rows of :attr:`.Robot.coupled`, and what they cannot have.
+
+    The sums of values below zero, with which MuJoCo would refuse a file, are effects
+    again.
+    """
+    sums: dict[tuple[int, ...], Array] = {}
+    for effect in effects:
+        pair = tuple(sorted(effect.joints))
+        sums[pair] = sums.get(pair, np.zeros(3)) + effect.gain_values
+    names = [gain.name for gain in TransmissionCoupling.gains]
+    below = {pair: np.minimum(gains, 0.0) for pair, gains in sums.items()}
+    rest: list[Effect] = [
+        TransmissionCoupling(pair, dict(zip(names, gains.tolist(), strict=True)))
+        for pair, gains in below.items()
+        if gains.any()
+    ]
+    rows = [(*pair, *np.maximum(x, 0.0)) for pair, x in sums.items() if (x > 0).any()]
+    return np.array(rows).reshape(-1, 5), rest
 
 
 def fall(joint: int, level: float, speed: float) -> Effect:

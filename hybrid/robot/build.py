@@ -74,6 +74,12 @@ def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
         joint.stiffness = np.array([robot.stiffness[k], 0, 0])
         joint.springref = robot.springref[k]
         parent = body
+    for first, second, inertia, damping, dry in robot.coupled:
+        pair = [robot.joints[int(j)] for j in (first, second)]
+        rotor = spec.add_tendon(name="+".join(pair))
+        for name in pair:
+            rotor.wrap_joint(name, 1.0)
+        rotor.armature, rotor.damping[0], rotor.frictionloss = inertia, damping, dry
     return spec
 
 

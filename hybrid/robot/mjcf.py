@@ -69,6 +69,7 @@ def fields_of_mujoco(
         **_passive(model, index, drives),
         "ripple": ripples(model, index),
         "falling": falling[(falling[:, 1:] > 0).all(axis=1)],
+        "coupled": _coupled(model, index),
     }
 
 
@@ -96,8 +97,10 @@ def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
     level, slope = dry * model.dof_frictionloss[dofs], knee_slope(model)[dofs]
     soft = (level > 0) & np.isfinite(slope)
     other = np.zeros(model.nv)  # dry friction of tendons and passive motors
-    for t, dof, ratio in single_tendons(model):
-        other[dof] += dry * ratio * model.tendon_frictionloss[t]
+    for t, own, ratio in sum_tendons(model):
+        if len(own) == 1:
+            dof = model.jnt_dofadr[own[0]]
+            other[dof] += dry * ratio * model.tendon_frictionloss[t]
     for j, sliding, _, _ in bristles(model, index):
         other[dofs[int(j)]] += sliding
     return {
@@ -124,15 +127,39 @@ def knee_slope(model: Any) -> np.ndarray:
     return np.where(has_slope, -damping / np.where(has_slope, softness, 1.0), np.inf)
 
 
-def single_tendons(model: Any) -> Iterator[tuple[int, int, float]]:
-    """Number, dof and torque per force of each tendon on a single joint."""
+def sum_tendons(model: Any) -> Iterator[tuple[int, list[int], float]]:
+    """Tendons as long as a multiple of the sum of one or two joints' positions.
+
+    Yields:
+        Number, joints, and torque at each joint per force, which is the multiple.
+    """
     import mujoco
 
-    for t in np.flatnonzero(model.tendon_num == 1).tolist():
-        at = int(model.tendon_adr[t])
-        if model.wrap_type[at] == mujoco.mjtWrap.mjWRAP_JOINT:
-            dof = int(model.jnt_dofadr[model.wrap_objid[at]])
-            yield t, dof, abs(float(model.wrap_prm[at]))
+    for t in np.flatnonzero(model.tendon_num <= 2).tolist():
+        own = slice(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
+        fixed = (model.wrap_type[own] == mujoco.mjtWrap.mjWRAP_JOINT).all()
+        if fixed and np.ptp(model.wrap_prm[own]) == 0:
+            ratio = abs(float(model.wrap_prm[own][0]))
+            yield t, model.wrap_objid[own].tolist(), ratio
+
+
+def _coupled(model: Any, index: list[int]) -> np.ndarray:
+    """Rotors that turn with the sum of two joints, see :class:`Robot`, shape (C, 5)."""
+    damper, dry = (_enabled(model, name) for name in ("DAMPER", "FRICTIONLOSS"))
+    found: dict[tuple[int, ...], np.ndarray] = {}
+    for t, own, ratio in sum_tendons(model):
+        if len(own) == 2 and {*own} <= {*index}:
+            pair = tuple(sorted(index.index(j) for j in own))
+            forces = np.array(
+                [
+                    ratio**2 * model.tendon_armature[t],
+                    ratio**2 * damper * model.tendon_damping[t],
+                    ratio * dry * model.tendon_frictionloss[t],
+                ]
+            )
+            found[pair] = found.get(pair, 0.0) + forces
+    rows = [(*pair, *forces) for pair, forces in found.items() if forces.any()]
+    return np.array(rows).reshape(-1, 5)
 
 
 def _enabled(model: Any, flag: str) -> float:

@@ -26,6 +26,7 @@ _VECTORS = (
     "q_min", "q_max", "v_max", "a_max", "tau_max", "damping", "frictionloss", *_SPRINGS,
 )  # fmt: skip
 _SERVO = ("kp", "kd")
+_ROWS = {"ripple": 4, "falling": 3, "coupled": 5}  # numbers in a row
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,9 @@ class Robot:
     The torque of a drive is that of the links, and of rotor, friction and spring at its
     joint: armature·a + damping·v + quadratic·v|v| + cubic·v³ +
     stiffness·(q − springref) + frictionloss·sgn v + knee·clip(v / knee_speed),
-    ripples sine·sin(k q) + cosine·cos(k q), and Stribeck friction
-    level·exp(−(v/v_s)²)·sgn v.
+    ripples sine·sin(k q) + cosine·cos(k q), Stribeck friction
+    level·exp(−(v/v_s)²)·sgn v. Where one rotor turns with the sum of two joints, both
+    have inertia·(a₁ + a₂) + damping·(v₁ + v₂) + dry·sgn(v₁ + v₂).
 
     Attributes:
         name: Name in the file.
@@ -63,6 +65,8 @@ class Robot:
             [1/rad].
         falling: Declared Stribeck friction, shape (F, 3): joint, level [N·m], and v_s
             [rad/s].
+        coupled: Declared rotors that turn with the sum of two joints, shape (C, 5):
+            both joints, inertia [kg·m²], damping [N·m·s/rad] and dry friction [N·m].
         held: Positions of joints outside the arm, [rad or m], if they differ from the
             file.
     """
@@ -88,6 +92,7 @@ class Robot:
     knee_speed: Array = field(default_factory=lambda: np.zeros(0))
     ripple: Array = field(default_factory=lambda: np.zeros((0, 4)))
     falling: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    coupled: Array = field(default_factory=lambda: np.zeros((0, 5)))
     held: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -192,6 +197,10 @@ class Robot:
         for joint, sine, cosine, k in self.ripple:
             angle = k * q[:, int(joint)]
             torque[:, int(joint)] += sine * np.sin(angle) + cosine * np.cos(angle)
+        for first, second, inertia, damping, _ in self.coupled:
+            pair = [int(first), int(second)]
+            both = inertia * a[:, pair].sum(axis=1) + damping * v[:, pair].sum(axis=1)
+            torque[:, pair] += both[:, None]
         return torque
 
     def dry_friction(self, v: Array) -> Array:
@@ -203,7 +212,11 @@ class Robot:
         level = np.tile(self.frictionloss, (len(v), 1))
         for joint, height, speed in self.falling:
             level[:, int(joint)] += height * np.exp(-((v[:, int(joint)] / speed) ** 2))
-        return np.asarray(level * np.sign(v))
+        friction = level * np.sign(v)
+        for first, second, _, _, dry in self.coupled:
+            pair = [int(first), int(second)]
+            friction[:, pair] += dry * np.sign(v[:, pair].sum(axis=1))[:, None]
+        return np.asarray(friction)
 
     def position_slope(self, q: Array) -> Array:
         """Derivative of :meth:`joint_torque` by position, shape (N, n), [N·m/rad]."""
@@ -245,9 +258,7 @@ class Robot:
         names = (*_VECTORS, *_SERVO)
         content |= {name: _plain(getattr(self, name)) for name in names}
         step = None if np.isnan(self.timestep) else self.timestep
-        content |= {
-            name: getattr(self, name).tolist() for name in ("ripple", "falling")
-        }
+        content |= {name: getattr(self, name).tolist() for name in _ROWS}
         return content | {"timestep": step, "held": dict(self.held)}
 
     @classmethod
@@ -276,8 +287,10 @@ class Robot:
                 chain=Chain(joints=joints, revolute=np.array(turning), **arrays),
                 **own,
                 timestep=float(step[0]),
-                ripple=_numbers("ripple", content.get("ripple", [])).reshape(-1, 4),
-                falling=_numbers("falling", content.get("falling", [])).reshape(-1, 3),
+                **{
+                    name: _numbers(name, content.get(name, [])).reshape(-1, width)
+                    for name, width in _ROWS.items()
+                },
                 held=held,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:

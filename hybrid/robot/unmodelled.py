@@ -9,14 +9,13 @@ MuJoCo softens the last.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.mjcf import joint_names, single_tendons, start
+from hybrid.robot.mjcf import joint_names, start, sum_tendons
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -43,12 +42,14 @@ def check_modelled(robot: Robot, model: Any) -> None:
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
     model.dof_frictionloss[:] = 0.0
-    model.tendon_frictionloss[[t for t, _, _ in single_tendons(model)]] = 0.0
     names, home = joint_names(model), start(model, robot.held)
     index = [names.index(name) for name in robot.joints]
+    sums = [t for t, own, _ in sum_tendons(model) if {*own} <= {*index}]
+    model.tendon_frictionloss[sums] = 0.0
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, robot.size))
     expected = _torque(model, index, states, home)
-    own = replace(robot, frictionloss=np.zeros(robot.size)).mujoco_spec().compile()
+    own = robot.mujoco_spec().compile()
+    own.dof_frictionloss[:] = own.tendon_frictionloss[:] = 0.0
     found = _torque(own, list(range(robot.size)), states, own.qpos0)
     error = np.abs(expected - found).max(axis=0)
     if (error <= _SAME * np.abs(expected).max()).all():

@@ -66,9 +66,19 @@ class GpuRollout:
 
     Args:
         robot: The arm.
+
+    Raises:
+        HybridError: The arm has friction that MJX would ignore.
     """
 
     def __init__(self, robot: Robot) -> None:
+        curved = np.flatnonzero((robot.quadratic != 0) | (robot.cubic != 0))
+        if curved.size:
+            joints = ", ".join(robot.joints[j] for j in curved)
+            raise HybridError(
+                f"replaying on a GPU: MJX ignores the quadratic and cubic damping of "
+                f"{joints}; valid is a file without it, or a replay without a GPU"
+            )
         import jax
 
         with redirect_stdout(StringIO()):  # it tells that Warp is not there

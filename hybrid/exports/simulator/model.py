@@ -12,11 +12,8 @@ import numpy as np
 from hybrid.effects.payload import LinkInertia
 from hybrid.errors import HybridError
 from hybrid.exports.simulator.friction import typical_motion
-from hybrid.exports.simulator.simulator import (
-    Simulator,
-    build_simulator,
-    planned_robot,
-)
+from hybrid.exports.simulator.plan import plan
+from hybrid.exports.simulator.simulator import Simulator, build_simulator
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -86,6 +83,7 @@ def _bare(model: DynamicModel) -> Robot:
     names = "damping", "frictionloss", "quadratic", "cubic", "stiffness", "knee"
     own: dict[str, Any] = dict.fromkeys(names, zero)
     own |= {"ripple": np.zeros((0, 4)), "falling": np.zeros((0, 3))}
+    own |= {"coupled": np.zeros((0, 5))}
     return replace(robot, chain=replace(robot.chain, armature=zero), **own)
 
 
@@ -95,7 +93,7 @@ def fields_of_model(
     """The arm with all parameters of a model that a kind of file can express."""
     assert model.inertial is not None
     robot = _bare(model).with_inertial(model.inertial)
-    return planned_robot(robot, model.effects, kind, motions)
+    return plan(robot, model.effects, kind, motions).change.robot
 
 
 def usual_motion(model: DynamicModel) -> Motion:

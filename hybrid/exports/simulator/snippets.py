@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from hybrid.exports.simulator.model import (
 )
 from hybrid.exports.simulator.ranges import Ranges, ranges
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
 
@@ -66,6 +67,7 @@ EVENTS = {{
 _MJX = '''"""Random parameters of {name}, for MuJoCo Playground and MJX.
 
 Rotors and friction are drawn from their posterior, with their correlations.
+MJX on JAX ignores quadratic and cubic damping: if they are drawn, it is refused.
 """
 
 import jax
@@ -82,6 +84,11 @@ def domain_randomize(model, rng, mj_model):
 
     Bind ``mj_model``, MuJoCo's own model, with ``functools.partial``.
     """
+    fields = [field for field, _, _ in _FIELDS]
+    if "dof_dampingpoly" in fields and model.impl.value == "jax":
+        raise NotImplementedError(
+            "MJX on JAX ignores quadratic and cubic damping; valid is impl='warp'"
+        )
     dofs = jp.array([mj_model.joint(name).dofadr[0] for name in _JOINTS])
     mean, factor = jp.array(_MEAN), jp.array(_FACTOR)
 
@@ -189,10 +196,26 @@ def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
     )
 
 
-def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
+def mjx_notes(robot: Robot) -> Iterator[str]:
+    """What MJX on JAX, unlike MuJoCo and MJX on Warp, does not take from a file."""
+    motors = {int(row[0]) for row in (*robot.ripple, *robot.falling)}
+    curved = np.flatnonzero((robot.quadratic != 0) | (robot.cubic != 0))
+    for joints, what in (
+        (curved, "quadratic and cubic damping of {}, which it ignores"),
+        (sorted(motors), "ripple or falling friction of {}, which it refuses"),
+    ):
+        if len(joints):
+            names = ", ".join(robot.joints[j] for j in joints)
+            yield "for MJX on JAX: " + what.format(names)
+
+
+def write_ranges(model: DynamicModel, folder: Path, stem: str) -> tuple[str, ...]:
     """Write intervals and correlations as YAML, and Python for Isaac Lab and MJX.
 
     Draws have a fixed seed, so that the files of a model are always the same.
+
+    Returns:
+        What MJX on JAX does not take.
     """
     found = ranges(model, np.random.default_rng(0), draws=_DRAWS)
     nominal = fields_of_model(model, (usual_motion(model),))
@@ -211,6 +234,7 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> None:
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
+    return tuple(mjx_notes(nominal))
 
 
 def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float] | None:

@@ -2,40 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot.actuators import bristles, passive_motors
-from hybrid.robot.edit.document import Document, element, joint_tag, model_of
+from hybrid.robot.edit.document import Document, Tag, element, joint_tag, model_of
 from hybrid.robot.mjcf import joint_names
 from hybrid.robot.robot import Robot
 
 # MuJoCo's default dry friction is so soft that it is viscous at low speed.
 HARD = {"solimpfriction": (0.9999, 0.9999, 0.001, 0.5, 2.0)}
+_FORCES = "armature", "damping", "frictionloss"  # of a tendon
 _PHASE = 1.0  # rad, of a bristle's oscillation in a time step; stable up to 2
 _POSTURES = 100  # random postures in the search for the least inertia of a joint
 _SOFTEST, _HARDEST = 0.0001, 0.9999  # impedances that MuJoCo allows
 
 
-def set_tendon_friction(document: Document, joint: str, dry: Mapping[str, Any]) -> None:
-    """Write dry friction of a joint to a tendon on it; the joint has knee friction."""
-    tendons = [
-        (tag, own[0])
-        for tag in document.find("tendon", "fixed")
-        if len(own := document.children(tag, "joint")) == 1
-        and own[0].attributes.get("joint") == joint
-    ]
-    for tag, part in tendons:
-        ratio = abs(float(part.attributes.get("coef", 1.0)))
-        document.set(tag, {**dry, "frictionloss": dry["frictionloss"] / ratio})
-        dry = {"frictionloss": 0.0}
-    if not tendons and dry["frictionloss"]:
-        head = element("fixed", {"name": f"{joint}/dry", **dry}).replace("/>", ">")
-        text = head + element("joint", {"joint": joint, "coef": 1.0}) + "</fixed>"
-        document.insert(document.tags[0].close, f"  <tendon>{text}</tendon>\n")
+def set_tendon(
+    document: Document, joints: Sequence[str], step: float, **forces: float
+) -> None:
+    """Write forces on the sum of one or two joints to a tendon.
+
+    Args:
+        document: An MJCF file.
+        joints: One or two joints.
+        step: Time step of the file, [s].
+        forces: ``armature``, ``damping``, ``frictionloss``, SI units at the joints.
+    """
+    hard = {"solreffriction": (2 * step, 1.0), **HARD}
+    hard = hard if forces["frictionloss"] else {}
+    for tag, ratio in _tendons_on(document, joints):
+        given = {
+            name: x / (ratio if name == "frictionloss" else ratio**2)
+            for name, x in forces.items()
+        }
+        document.set(tag, given | hard)
+        forces, hard = dict.fromkeys(forces, 0.0), {}
+    if any(forces.values()):
+        named = {"name": "+".join(joints) + ("/dry" if len(joints) == 1 else "/rotor")}
+        head = element("fixed", named | forces | hard).replace("/>", ">")
+        parts = [element("joint", {"joint": x, "coef": 1.0}) for x in joints]
+        text = f"<tendon>{head}{''.join(parts)}</fixed></tendon>"
+        document.insert(document.tags[0].close, f"  {text}\n")
+
+
+def _tendons_on(
+    document: Document, joints: Sequence[str]
+) -> Iterator[tuple[Tag, float]]:
+    """Tendons on the sum of joints, and torque at each of them per force."""
+    for tag in document.find("tendon", "fixed"):
+        parts = [x.attributes for x in document.children(tag, "joint")]
+        ratios = {float(x.get("coef", 1.0)) for x in parts}
+        same = sorted(x.get("joint", "") for x in parts) == sorted(joints)
+        if same and len(ratios) == 1 and any(ratios):
+            yield tag, abs(ratios.pop())
+
+
+def set_couplings(document: Document, step: float, old: Robot, new: Robot) -> None:
+    """Write changed rotors that turn with the sum of two joints."""
+    before, after = (
+        {(int(i), int(j)): forces for i, j, *forces in x.coupled.tolist()}
+        for x in (old, new)
+    )
+    for pair in dict.fromkeys((*before, *after)):
+        forces = after.get(pair, [0.0] * 3)
+        if forces != before.get(pair):
+            names = [new.joints[j] for j in pair]
+            own = dict(zip(_FORCES, forces, strict=True))
+            set_tendon(document, names, step, **own)
 
 
 def set_passive_motors(document: Document, model: Any, old: Robot, new: Robot) -> None:

@@ -24,15 +24,15 @@ from hybrid.robot.edit.document import (
     model_of,
     relative_path,
     spec_of,
-    text_of,
 )
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.extra_friction import (
     HARD,
     replaced_friction,
+    set_couplings,
     set_knee_friction,
     set_passive_motors,
-    set_tendon_friction,
+    set_tendon,
 )
 from hybrid.robot.mjcf import joint_names, mujoco_tree
 from hybrid.robot.read import read_robot
@@ -67,6 +67,7 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
+    set_couplings(document, model.opt.timestep, old, new)
     set_passive_motors(document, model, old, new)
     set_knee_friction(document, model.opt.timestep, old, new)
     return notes
@@ -209,9 +210,8 @@ def _joint(
             **HARD,
         }
         given |= {} if new.knee[j] else dry
-        set_tendon_friction(
-            document, new.joints[j], dry if new.knee[j] else {"frictionloss": 0.0}
-        )
+        level = new.frictionloss[j] if new.knee[j] else 0.0
+        set_tendon(document, [new.joints[j]], model.opt.timestep, frictionloss=level)
     if "stiffness" in changed:
         given["stiffness"] = new.stiffness[j]
         unit = turn_unit(document, not new.chain.revolute[j])
@@ -245,10 +245,6 @@ def _structure(
         document.insert_after(tag, element("joint", given))
         added.append(j)
     known = {child.tag for child in before}
-    hard = {"solreffriction": (2 * model.opt.timestep, 1.0), **HARD}
-    for tendon in after.iter("fixed"):
-        if "frictionloss" in tendon.attrib:
-            tendon.attrib |= {key: text_of(x) for key, x in hard.items()}
     for section in after:
         if section.tag not in known and section.tag != "default":
             text = ElementTree.tostring(section, encoding="unicode").strip()

@@ -1,0 +1,214 @@
+"""Decide how a kind of file expresses effects: exactly, approximately, or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hybrid.arrays import Array
+from hybrid.dynamics import RigidBody
+from hybrid.effects import Effect
+from hybrid.effects.instant import FIELDS
+from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.effects.transmission_coupling import TransmissionCoupling
+from hybrid.exports.simulator.friction import (
+    FittedFriction,
+    approximate_friction,
+    is_friction,
+    typical_motion,
+)
+from hybrid.model.declared import declared_effects
+from hybrid.plant.arm import overrides
+from hybrid.plant.joint_fields import (
+    coupled_rows,
+    effects_of_fields,
+    fall,
+    knee,
+    split_effects,
+    springs,
+    with_curves,
+)
+from hybrid.robot import Robot
+from hybrid.robot.edit.change import Actuator, Edit
+from hybrid.signals import Motion
+
+# Fields of a joint in each kind of file, and those that approximate friction.
+JOINT_FIELDS = {"mjcf": FIELDS, "urdf": ("armature", "damping", "frictionloss")}
+_CURVE = {
+    "mjcf": (
+        "frictionloss", "damping", "quadratic", "cubic", "preload", "knee", "fall",
+    ),
+    "urdf": ("frictionloss", "damping"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Effects sorted by how a file expresses them.
+
+    Attributes:
+        change: What the file expresses exactly.
+        friction: Friction that it approximates.
+        missing: Effects that it does not express.
+        corrections: True friction less the approximation.
+    """
+
+    change: Edit
+    friction: tuple[FittedFriction, ...]
+    missing: tuple[Effect, ...]
+    corrections: tuple[Effect, ...]
+
+
+def plan(
+    robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
+) -> Plan:
+    """Decide how a file of an arm expresses effects.
+
+    Args:
+        robot: The arm with its new links, rotors, friction and springs.
+        effects: Further effects.
+        kind: ``mjcf`` or ``urdf``.
+        motions: Motions with the speeds at which friction is fitted; by default a
+            random one within the arm's limits.
+    """
+    n, inertial = robot.size, robot.chain.inertial.copy()
+    gravity = robot.chain.gravity.copy()
+    acting = declared_effects(replace(robot, knee=np.zeros(n)))
+    for effect in effects:
+        rigid = effect.rigid_change(n, robot.chain.gravity)
+        if rigid is None:
+            acting.append(effect)
+        else:
+            inertial, gravity = inertial + rigid[0], gravity + rigid[1]
+    values, others = split_effects(acting, JOINT_FIELDS[kind], n)
+    chain = replace(robot.chain, inertial=inertial, gravity=gravity)
+    friction = [effect for effect in others if is_friction(effect)]
+    robot, friction = with_curves(robot, friction, kind == "mjcf")
+    moved = replace(robot, chain=chain)
+    fitted = _fitted_friction(moved, friction, values, kind, motions)
+    rest = [effect for effect in others if not is_friction(effect)]
+    drives = dict[int, Actuator]()
+    structure, own = [], _Rows()
+    if kind == "mjcf":
+        own, rest = _rows(rest)
+        for effect in [e for e in rest if e.actuator]:
+            (j,) = effect.joints
+            drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
+            rest.remove(effect)
+        shaped = [e for e in rest if overrides(e, "edit_spec") and not e.fields]
+        structure = [e.edit_spec for e in shaped]
+        rest = [e for e in rest if e not in shaped]
+    arm = replace(robot, chain=chain, ripple=own.ripple, coupled=own.coupled)
+    new = _with_fields(arm, values, fitted)
+    corrections = *_friction_error(friction, values, fitted, n), *own.error
+    missing = *rest, *own.below
+    return Plan(Edit(new, drives, structure), fitted, missing, corrections)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Ripples and coupled rotors as rows of an arm.
+
+    Attributes:
+        ripple: See :attr:`.Robot.ripple`.
+        coupled: See :attr:`.Robot.coupled`.
+        below: Gains of couplings that are below zero.
+        error: True ripples less those of the arm.
+    """
+
+    ripple: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    coupled: Array = field(default_factory=lambda: np.zeros((0, 5)))
+    below: Sequence[Effect] = ()
+    error: Sequence[Effect] = ()
+
+
+def _rows(effects: Sequence[Effect]) -> tuple[_Rows, list[Effect]]:
+    """Separate effects that are rows of an arm from others."""
+    ripples = [e for e in effects if isinstance(e, TorqueRipple)]
+    rotors = [e for e in effects if isinstance(e, TransmissionCoupling)]
+    rows = [(e.joints[0], *e.gain_values, e.values["periods"]) for e in ripples]
+    coupled, below = coupled_rows(rotors)
+    error = tuple(_ripple_error(ripples))
+    rest = [e for e in effects if e not in ripples and e not in rotors]
+    return _Rows(np.array(rows).reshape(-1, 4), coupled, below, error), rest
+
+
+def _fitted_friction(
+    robot: Robot,
+    friction: Sequence[Effect],
+    values: dict[str, Array],
+    kind: str,
+    motions: Sequence[Motion],
+) -> tuple[FittedFriction, ...]:
+    """Approximate friction that has no field, joint by joint."""
+    if not friction:
+        return ()
+    motions = motions or (typical_motion(robot),)
+    moved = [(motion, RigidBody(robot.chain, motion)) for motion in motions]
+    return tuple(
+        approximate_friction(
+            [effect for effect in friction if effect.joints == (j,)],
+            {name: float(x[j]) for name, x in values.items()}
+            | {"knee_speed": float(robot.knee_speed[j])},
+            moved,
+            _CURVE[kind],
+        )
+        for j in sorted({effect.joints[0] for effect in friction})
+    )
+
+
+def _with_fields(
+    robot: Robot, values: dict[str, Array], fitted: Sequence[FittedFriction]
+) -> Robot:
+    """The arm with values of its joints' fields."""
+    own: dict[str, Any] = {name: x.copy() for name, x in values.items()}
+    own |= {"knee": robot.knee.copy(), "knee_speed": robot.knee_speed.copy()}
+    for each in fitted:
+        for name, x in each.values.items():
+            if name in own:
+                own[name][each.joint] = x
+    armature, preload = own.pop("armature"), own.pop("preload", None)
+    if preload is not None:
+        before = -robot.stiffness * robot.springref
+        kept = (own["stiffness"] == robot.stiffness) & (preload == before)
+        both = springs({"stiffness": own["stiffness"], "preload": preload})
+        own["stiffness"] = np.where(kept, robot.stiffness, both[0])
+        own["springref"] = np.where(kept, robot.springref, both[1])
+    falling = [
+        (x.joint, x.values["fall"], x.values["fall_speed"])
+        for x in fitted if x.values.get("fall")
+    ]  # fmt: skip
+    own["falling"] = np.array([*robot.falling.tolist(), *falling]).reshape(-1, 3)
+    return replace(robot, chain=replace(robot.chain, armature=armature), **own)
+
+
+def _friction_error(
+    friction: Sequence[Effect],
+    values: dict[str, Array],
+    fitted: Sequence[FittedFriction],
+    size: int,
+) -> Iterator[Effect]:
+    """True friction less its approximation."""
+    yield from friction
+    error = {name: np.zeros(size) for name in values}
+    for each in fitted:
+        for name in error.keys() & each.values.keys():
+            error[name][each.joint] = values[name][each.joint] - each.values[name]
+    yield from effects_of_fields(error)
+    for each in fitted:
+        if level := each.values.get("knee", 0.0):
+            yield knee(each.joint, -level, each.values["knee_speed"])
+        if level := each.values.get("fall", 0.0):
+            yield fall(each.joint, -level, each.values["fall_speed"])
+
+
+def _ripple_error(ripples: Sequence[TorqueRipple]) -> Iterator[Effect]:
+    """Ripples that vanish at high speed, less those of the file, which do not."""
+    for ripple in ripples:
+        endless = TorqueRipple(ripple.joints, {"periods": ripple.values["periods"]})
+        if ripple.values["fastest"] < endless.values["fastest"]:
+            yield ripple
+            yield endless.at({g.name: -ripple.values[g.name] for g in ripple.gains})
