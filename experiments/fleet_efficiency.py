@@ -1,7 +1,9 @@
 """What do two workers of a fleet cost beside one, on weeks of logs of a real arm?
 
 Arms whose weeks are copies of the packaged log of a UR10. A table of the cost of a unit
-appears, with the efficiency at two workers, and a plan for ten thousand such arms.
+appears, with the efficiency at two workers, and a plan for ten thousand such arms. What
+a unit costs the process that hands out is small beside it: where others use the
+machine, it takes more arms to see it.
 
     python experiments/fleet_efficiency.py --logs 5
 """
