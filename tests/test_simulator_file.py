@@ -278,6 +278,20 @@ def test_a_coupled_rotor_is_a_tendon(own, tmp_path):
     assert Robot.from_dict(again.as_dict()).coupled.tolist() == again.coupled.tolist()
 
 
+def test_a_coupled_rotor_keeps_its_friction_beside_the_callback(own, tmp_path):
+    coupling = TransmissionCoupling((0, 1), {"coulomb": 0.1})
+    build_simulator(own, [coupling], folder=tmp_path).write(tmp_path / "sim.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "sim.xml"))
+    added = install(
+        model,
+        mujoco.MjData(model),
+        SimpleNamespace(robot=own, effects=(coupling,), remainder=None),
+    )
+    kept = model.tendon_frictionloss.tolist()
+    added.remove()
+    assert kept == [0.1]
+
+
 def test_a_coupled_rotor_of_the_file_takes_the_change(own, tmp_path):
     first = TransmissionCoupling((0, 1), {"inertia": 0.01, "viscous": 0.2})
     build_simulator(own, [first], folder=tmp_path).write(tmp_path / "sim.xml")

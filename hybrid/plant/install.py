@@ -87,7 +87,8 @@ class Installed:
         rising = [d for d in dof if np.isfinite(knee_slope(model)[d])]
         model.dof_solref[rising] = 2.0 * model.opt.timestep, 1.0
         model.dof_solimp[rising, :2] = IMPEDANCE
-        single = [t for t, own, _ in sum_tendons(model) if own in joints[:, None]]
+        sums = sum_tendons(model)
+        single = [t for t, own, _ in sums if len(own) == 1 and own[0] in joints]
         model.tendon_frictionloss[single] = 0.0
         motors = [a for a, joint, _ in passive_motors(model) if joint in joints]
         for size in (0, 3, 4):  # of cogging, and of bristles' friction
