@@ -304,6 +304,22 @@ def test_a_law_has_to_beat_its_simpler_one_on_recordings_kept_aside(lasts):
     assert (at.unseen_gain([bristles])[bristles] > 0) == lasts
 
 
+def test_a_cause_takes_the_place_of_a_large_error_of_the_file():
+    """A file that is far off everywhere is less probable than one cause."""
+    at = search(RUBS)
+    typical = at.file_error
+    assert not at._exchange_file_error()
+    at.set_file_error(0.5)
+    assert at._exchange_file_error()
+    assert places(at) == {("coulomb", (0,))} and at.file_error == typical
+    at = search()
+    at.set_file_error(0.5)
+    precision = at.evidence.precision.copy()
+    assert not at._exchange_file_error()
+    assert at.causes == [] and at.file_error == 0.5
+    np.testing.assert_array_equal(at.evidence.precision[: len(precision)], precision)
+
+
 def test_the_squares_elsewhere_are_those_of_the_residual():
     at = search(*BOTH, size=2)
     at.causes = [cause(at, e) for e in BOTH]
