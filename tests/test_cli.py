@@ -14,7 +14,8 @@ import pytest
 from arms import MODELS
 
 from hybrid import __version__
-from hybrid.cli import main, options
+from hybrid.cli import main
+from hybrid.cli.shared import options
 from hybrid.effects import effect_classes, registry
 from hybrid.errors import HybridWarning
 from hybrid.identification import DynamicModel, predict, validate

@@ -14,8 +14,8 @@ from arms import MODELS
 from rich.console import Console
 
 from hybrid.cli import main
-from hybrid.cli.options import sha256
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared.options import sha256
+from hybrid.cli.shared.screen import Screen
 from hybrid.effects import registry
 from hybrid.errors import EffectError
 from hybrid.identification import DynamicModel
@@ -254,7 +254,7 @@ def test_progress_is_told_step_by_step(answered):
 
 def test_a_file_has_a_line_for_each_step_that_takes_its_time(monkeypatch):
     clock = iter([0.0, 0.5, 10.0, 10.2, 20.0, 30.0])
-    monkeypatch.setattr("hybrid.cli.screen.monotonic", lambda: next(clock))
+    monkeypatch.setattr("hybrid.cli.shared.screen.monotonic", lambda: next(clock))
     screen, target = Screen(), StringIO()
     screen._err = Console(file=target, width=80)
     with screen.working("at first") as tell:

@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from logs import ARM, DIALECTS, START, Messages, bag, columns, states, truth
 from rosbags.rosbag2 import StoragePlugin
 
-from hybrid.cli.options import read_logs
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared.options import read_logs
+from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, recording_from_table
 from hybrid.recording.formats.mat_elements import check_elements

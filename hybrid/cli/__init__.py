@@ -27,8 +27,8 @@ from hybrid.cli import (
     track,
     validate,
 )
-from hybrid.cli.options import Parser
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared.options import Parser
+from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
 from hybrid.names import printable
 

@@ -7,8 +7,8 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared import options
+from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridWarning
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared import options
+from hybrid.cli.shared.screen import Screen
 
 HELP = """identify a UR10 from a real log that comes with the package
 A UR10 moved for twelve seconds, and ROS 2 recorded it. The demo reads the bag, holds it

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli import options, servos
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared import options, servos
+from hybrid.cli.shared.screen import Screen
 from hybrid.errors import EffectError, HybridError, HybridWarning
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen, words_table
+from hybrid.cli.shared import options
+from hybrid.cli.shared.screen import Screen, words_table
 
 if TYPE_CHECKING:
     from hybrid.effects import Effect, Quantity

@@ -5,8 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared import options
+from hybrid.cli.shared.screen import Screen
 
 HELP = """which arms of a fleet change, when, in what, and which are unlike the others
 PLAN is a YAML file: robot, arms (a folder with one folder of logs for each arm, or a

@@ -5,8 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared import options
+from hybrid.cli.shared.screen import Screen
 
 HELP = """predict the drive torque along a recording
 writes the columns time (s) and tau_JOINT (N·m); the suffix of --out, .csv, .parquet or

@@ -6,8 +6,8 @@ import warnings
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared import options
+from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridWarning
 
 HELP = """simulate motions of an arm with effects that its file does not know

@@ -5,8 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared import options
+from hybrid.cli.shared.screen import Screen
 
 HELP = """track the parameters of a model along a recording, sample by sample
 as a controller would, in one pass: base parameters, gains of the effects, payloads

@@ -5,8 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from hybrid.cli import options
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared import options
+from hybrid.cli.shared.screen import Screen
 
 HELP = """score a model on recordings that it was not identified from
 shows the RMS torque error of the model and of its simpler versions, joint by joint,

@@ -212,11 +212,11 @@ class Search(Proposals):
         self.evidence.scale_prior(self.numbers, typical)
         for found in self.proposals(self.causes)[:1]:
             causes = [*self.causes, found.make()]
-            if self.score(causes) - self.file_error_odds(typical) > now + _BETTER:
-                if np.all(self.held_out_loss(causes) < loss):
-                    self.causes = causes
-                    self.set_file_error(typical)
-                    return True
+            worth = self.score(causes) - self.file_error_odds(typical) - now
+            if worth > _BETTER and np.all(self.held_out_loss(causes) < loss):
+                self.causes = causes
+                self.set_file_error(typical)
+                return True
         self.evidence.scale_prior(self.numbers, error)
         return False
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from hybrid.cli.screen import Screen
+from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Arguments, output and steps that several verbs share."""
