@@ -510,3 +510,34 @@ def test_a_search_is_freed_with_its_last_use():
     at.substitute_unknown_laws()
     at, alive = None, weakref.ref(at)
     assert alive() is None
+
+
+def test_a_cause_that_helps_alone_comes_back(monkeypatch):
+    """Of two that explain the same, neither may help beside the other."""
+    at = search(RUBS, library=("coulomb", "presliding"))
+    short = Presliding((0,), {"level": 1.0, "distance": 0.0005})
+    tied = [cause(at, RUBS), cause(at, short)]
+    improve, gains = at._improve, at.unseen_gain
+
+    def once():
+        """The first round ends with both."""
+        at.causes = tied
+        monkeypatch.setattr(at, "_improve", improve)
+
+    def no_help(causes):
+        monkeypatch.setattr(at, "unseen_gain", gains)
+        return dict(zip(causes, (-1.0, -2.0), strict=True))
+
+    monkeypatch.setattr(at, "_improve", once)
+    monkeypatch.setattr(at, "unseen_gain", no_help)
+    at._converge()
+    assert places(at) == {("coulomb", (0,))} and at.refused == {("presliding", (0,))}
+    assert at.unseen_gain(at.causes)[at.causes[0]] > 50
+
+
+def test_what_is_too_improbable_to_name_still_acts_in_the_simulator():
+    at = search(RUBS, DRAGS)
+    every = set(at.run())
+    at.causes = [c for c in at.causes if c.place[0] == "coulomb"]
+    at.substitute_unknown_laws()
+    assert places(at) == {c.place for c in every}

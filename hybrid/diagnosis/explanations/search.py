@@ -136,12 +136,11 @@ class Search(Proposals):
         return max(([*causes, *x] for x in each), key=self.score)
 
     def substitute_unknown_laws(self) -> None:
-        """Replace unknown laws by effects of the library, as far as these help.
+        """Replace unknown laws and dropped causes by effects of the library.
 
         A simulator has no other laws. The effects are not reported as causes.
         """
-        if all(c.candidate is not None for c in self.causes):
-            self._reset_file_error()  # some causes may have been removed
+        if self.known == self.whole:
             return
         self.causes, self.library_only = self.known, True
         self.refused = frozenset()
@@ -158,8 +157,16 @@ class Search(Proposals):
             bad = [c for c, gain in gains.items() if gain <= 0]
             if not (bad or self._reset_file_error() or self.update_noise(self.causes)):
                 break
-            self.refused |= {c.place for c in bad}
             self.causes = [c for c in self.causes if c not in bad]
+            # Of two that explain the same, neither helps beside the other.
+            bad.sort(key=lambda c: gains[c])
+            again = {c for c in bad[1:] if self._helps_alone(c)}
+            self.refused |= {c.place for c in bad if c not in again}
+
+    def _helps_alone(self, cause: Cause) -> bool:
+        """Whether one more cause lowers the loss on test samples."""
+        gain = self.unseen_loss(self.causes) - self.unseen_loss([*self.causes, cause])
+        return bool(np.min(gain) > 0)
 
     def _improve(self) -> None:
         for _ in range(_ROUNDS):
