@@ -278,6 +278,19 @@ def test_a_coupled_rotor_is_a_tendon(own, tmp_path):
     assert Robot.from_dict(again.as_dict()).coupled.tolist() == again.coupled.tolist()
 
 
+def test_a_coupled_rotor_of_an_arm_without_a_file_is_dry_at_any_speed(tmp_path):
+    robot = replace(Robot.load(MODELS / "planar.xml"), path="")
+    rotor = [TransmissionCoupling((0, 1), {"coulomb": 2.0})]
+    build_simulator(robot, rotor).write(tmp_path / "sim.xml")
+    (motion,) = motions(robot, count=1, duration=1.0)
+    apart = motion.v[:, :1] * [1.0, -1.0] + np.array([0.0, 0.01])  # rad/s
+    motion, model = replace(motion, v=apart), SimpleNamespace(robot=robot)
+    dry = file_torque(tmp_path / "sim.xml", model, motion)
+    dry -= file_torque(robot, model, motion)
+    moving = np.abs(motion.v).min(axis=1) > 0.05
+    np.testing.assert_allclose(dry[moving], 2.0, atol=1e-6)
+
+
 def test_a_coupled_rotor_keeps_its_friction_beside_the_callback(own, tmp_path):
     coupling = TransmissionCoupling((0, 1), {"coulomb": 0.1})
     build_simulator(own, [coupling], folder=tmp_path).write(tmp_path / "sim.xml")

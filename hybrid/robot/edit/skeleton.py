@@ -13,9 +13,12 @@ from hybrid.robot.robot import Robot
 def mjcf_skeleton(robot: Robot) -> str:
     """MJCF of links, joints and limits, with a motor of gear 1 at each joint.
 
-    Dry friction is zero here; the later edit of the file adds it.
+    The later edit of the file adds dry friction and couplings, as hard as it can.
     """
-    spec = replace(robot, frictionloss=0.0 * robot.frictionloss).mujoco_spec()
+    smooth = replace(
+        robot, frictionloss=0.0 * robot.frictionloss, coupled=robot.coupled[:0]
+    )
+    spec = smooth.mujoco_spec()
     add_motors(spec, robot)
     spec.compile()
     return spec_text(spec)
