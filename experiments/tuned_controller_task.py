@@ -1,4 +1,4 @@
-"""Fast moves of an arm from rest to rest, under a controller of a few gains."""
+"""Short slow strokes of an arm, there and back, under a controller of a few gains."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ from typing import Any
 import mujoco
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from hybrid import Motion, Robot
 from hybrid.dynamics import inverse_dynamics
 from hybrid.plant.servo import Servo
+from hybrid.robot.chain import Chain
 
-RATE, SUBSTEPS, MOVES = 500.0, 2, 4
-MEMORY = 0.05  # s, of a disturbance
-TURNS = 0.05  # rad/s: below, the sign of a speed is not full
+RATE, SUBSTEPS, STROKES = 500.0, 2, 3
+TIME, LENGTH = 0.5, 0.03  # s and rad, usual ones one way
+TURN = 0.002  # rad/s: below, the sign of a speed is not full
+PERIODS = 20.0  # of the ripple, per turn
+FIRST = [0.3, 0.1, 0.0, 0.0]  # gains before tuning
 RUNS, CHANGE = 6, 0.02  # of a tuning: looks at the simulator, and changes of a gain
+
+World = Callable[[np.ndarray], Any]  # arms at rest at (B, n) in a simulator
 
 
 class FileArms:
@@ -43,112 +47,93 @@ class FileArms:
         self.v = np.array([data.qvel[self.dof] for data in self.data])
 
 
-World = Callable[[np.ndarray], Any]  # arms at rest at (B, n) in a simulator
+def in_file(file: Path, joints: Sequence[str]) -> World:
+    """Arms of an MJCF file."""
+    return lambda start: FileArms(file, joints, start)
 
 
-def moves(robot: Robot, rng: np.random.Generator) -> list[Motion]:
-    """Moves of least jerk at 80 % of the arm's speed or acceleration, then rest."""
-    ends = 0.35 * rng.uniform(robot.q_min, robot.q_max, (2, MOVES, robot.size))
-    far = np.abs(ends[1] - ends[0])
-    times = np.maximum(
-        (1.875 * far / (0.8 * robot.v_max)).max(axis=1),
-        np.sqrt(5.774 * far / (0.8 * robot.a_max)).max(axis=1),
-    )
-    t, found = np.arange(round((times.max() + 0.3) * RATE)) / RATE, []
-    for start, end, time in zip(*ends, times, strict=True):
-        s = np.clip(t / time, 0.0, 1.0)[:, None]
-        q = start + (end - start) * s**3 * (10 - 15 * s + 6 * s**2)
-        v = (end - start) / time * 30 * s**2 * (1 - s) ** 2
-        a = (end - start) / time**2 * 60 * s * (1 - s) * (1 - 2 * s)
-        every = np.ones(len(t), dtype=bool)
-        found.append(Motion(t, q, v, a, 0 * q, every, joints=robot.joints))
-    return found
+def strokes(robot: Robot, rng: np.random.Generator) -> list[Motion]:
+    """Motions of least jerk from rest to rest and back."""
+    shape = STROKES, robot.size
+    starts = 0.35 * rng.uniform(robot.q_min, robot.q_max, shape)
+    far = LENGTH * rng.choice([-1.0, 1.0], shape) * rng.uniform(0.5, 1.5, shape)
+    t = np.arange(round((2 * TIME + 0.1) * RATE)) / RATE
+    s, back = (np.clip((t - x) / TIME, 0.0, 1.0) for x in (0.0, TIME))
+    ways = [s**3 * (10 - 15 * s + 6 * s**2) for s in (s, back)]
+    ways += [30 * s**2 * (1 - s) ** 2 / TIME for s in (s, back)]
+    ways += [60 * s * (1 - s) * (1 - 2 * s) / TIME**2 for s in (s, back)]
+    q, v, a = (x - y for x, y in zip(ways[::2], ways[1::2], strict=True))
+    every = np.ones(len(t), dtype=bool)
+    return [
+        Motion(t, start + np.outer(q, d), np.outer(v, d), np.outer(a, d),
+               np.outer(0 * q, d), every, joints=robot.joints)
+        for start, d in zip(starts, far, strict=True)
+    ]  # fmt: skip
 
 
 def tuned(
-    world: World, robot: Robot, servo: Servo, ways: Sequence[Motion]
+    world: World, chain: Chain, unit: np.ndarray, servo: Servo, ways: Sequence[Motion]
 ) -> np.ndarray:
-    """Gains with least squared tracking error in a simulator, shape (6, n).
+    """Gains with least squared tracking error in a simulator, shape (4, n).
 
     Gauss and Newton's, with slopes from differences; the same budget for each world.
     """
-    ends = np.zeros((6, robot.size)), np.full((6, robot.size), 4.0)
-    ends[0][:2], ends[1][:2] = 0.25, 1.0
+    first = np.outer(FIRST, np.ones(len(unit))).ravel()
+    low = np.repeat([0.0, 0.0, -4.0, -4.0], len(unit))
 
     def off(x: np.ndarray) -> np.ndarray:
-        gains = x.reshape(-1, 6, robot.size)
-        feed = fed_forward(robot, ways, gains)
-        own = tracked(world, servo, ways, feed, gains[:, :2])
+        gains = x.reshape(-1, 4, len(unit))
+        own = tracked(world, servo, ways, fed_forward(chain, unit, ways, gains))
         return own.reshape(len(own), -1)
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        step = np.where(x + CHANGE < ends[1].ravel(), CHANGE, -CHANGE)
-        return (off(x + np.diag(step)) - off(x)).T / step
+        return (off(x + CHANGE * np.eye(len(x))) - off(x)).T / CHANGE
 
-    start = np.tile([[0.5], [0.5], [1.0], [1.0], [0.1], [0.1]], robot.size)
     found = least_squares(
-        lambda x: off(x)[0], start.ravel(), slopes, max_nfev=RUNS,
-        bounds=tuple(x.ravel() for x in ends),
-    )  # fmt: skip
-    return np.asarray(found.x.reshape(6, -1))
+        lambda x: off(x)[0], first, slopes, bounds=(low, 4.0), max_nfev=RUNS
+    )
+    return np.asarray(found.x.reshape(4, -1))
 
 
-def fed_forward(robot: Robot, ways: Sequence[Motion], gains: np.ndarray) -> np.ndarray:
+def fed_forward(
+    chain: Chain, unit: np.ndarray, ways: Sequence[Motion], gains: np.ndarray
+) -> np.ndarray:
     """Torque that K controllers feed forward, shape (K, M, N, n), [N·m].
 
     Args:
-        robot: The nominal arm.
-        ways: M moves.
-        gains: Gains of each controller, shape (K, 6, n): the last four are multiples
-            of the nominal weight and inertia, and of speed and its sign in tenths of
-            rated torque.
+        chain: Links that the controllers know.
+        unit: Torque of a gain of one, shape (n,), [N·m].
+        ways: M motions.
+        gains: Gains of each controller, shape (K, 4, n), beside the links' torque: of
+            the sign of speed, of speed in tenths of a rad/s, and of the sine and cosine
+            of the ripple.
     """
-    chain, v = robot.chain, np.stack([m.v for m in ways])
-    weight, rigid = (
-        np.stack([inverse_dynamics(chain, chain.inertial, *x) for x in own])
-        for own in (
-            [(m.q, 0 * m.v, 0 * m.a) for m in ways],
-            [(m.q, m.v, m.a) for m in ways],
-        )
-    )
-    unit = 0.1 * robot.tau_max
-    drag = unit / robot.v_max * v, unit * np.tanh(v / TURNS)
-    parts = np.stack([weight, rigid - weight, *drag])
-    return np.einsum("kpj,pmtj->kmtj", gains[:, 2:], parts)
+    q, v = (np.stack([getattr(m, x) for m in ways]) for x in "qv")
+    rigid = [inverse_dynamics(chain, chain.inertial, m.q, m.v, m.a) for m in ways]
+    turn = PERIODS * q
+    parts = np.stack([np.tanh(v / TURN), v / 0.1, np.sin(turn), np.cos(turn)])
+    return np.stack(rigid) + np.einsum("kpj,pmtj->kmtj", gains * unit, parts)
 
 
 def tracked(
-    world: World,
-    servo: Servo,
-    ways: Sequence[Motion],
-    feed: np.ndarray,
-    gains: np.ndarray,
+    world: World, servo: Servo, ways: Sequence[Motion], feed: np.ndarray
 ) -> np.ndarray:
     """Tracking errors of K controllers, shape (K, M, N, n), [rad].
 
     Args:
         world: Where they run.
-        servo: Usual gains.
-        ways: M moves.
-        feed: Torque beside that of the gains, shape (K, M, N, n), [N·m].
-        gains: Stiffness and damping as shares of those of a quarter of the usual
-            bandwidth, shape (K, 2, n).
+        servo: Usual gains; the controllers have a quarter of its bandwidth.
+        ways: M motions.
+        feed: Torque beside that of the servo, shape (K, M, N, n), [N·m].
     """
     q, v = (np.stack([getattr(m, x) for m in ways]) for x in "qv")  # (M, N, n)
-    kp, kd = gains[:, 0] * servo.kp / 16, gains[:, 1] * servo.kd / 4
-    shape = len(gains), len(ways), q.shape[2]
-    state = world(np.broadcast_to(q[:, 0], shape).reshape(-1, shape[2]).copy())
+    shape = len(feed), len(ways), q.shape[2]
+    start = np.broadcast_to(q[:, 0], shape).reshape(-1, shape[2]).copy()
     off = np.empty(feed.shape)
+    state = world(start)
     for k in range(q.shape[1]):
         off[:, :, k] = q[:, k] - state.q.reshape(shape)
         turn = v[:, k] - state.v.reshape(shape)
-        pd = kp[:, None] * off[:, :, k] + kd[:, None] * turn
+        pd = servo.kp / 16 * off[:, :, k] + servo.kd / 4 * turn
         state.step((feed[:, :, k] + pd).reshape(-1, shape[2]), SUBSTEPS)
     return off
-
-
-def coloured(samples: int, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Noise of unit size with a memory, shape (N, n)."""
-    keep = np.exp(-1.0 / (RATE * MEMORY))
-    white = np.sqrt(1 - keep**2) * rng.standard_normal((samples, n))
-    return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=0))
