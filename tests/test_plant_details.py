@@ -8,10 +8,13 @@ from pendulum import pendulum
 from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
+from hybrid.effects import JointState
+from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.errors import ExcitationError, HybridError
 from hybrid.excitation import Limits
 from hybrid.plant import Noise, Reference, random_fourier
 from hybrid.plant.arm import build_arm
+from hybrid.plant.laws import Laws
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.servo import Servo
 
@@ -126,3 +129,19 @@ def test_the_load_in_a_step_is_what_the_links_need(declared):
         needed = inverse_dynamics(bare, bare.inertial, q, v, state.a)
         np.testing.assert_allclose(state.load, needed, atol=1e-6)
     assert np.abs(state.v).max() > 0.1
+
+
+def test_friction_below_its_width_is_that_at_its_width_in_a_plant():
+    """A fit's line through rest would not stick; a steep fall in it never was seen."""
+    values = {"coulomb_positive": 2.0, "coulomb_negative": 3.0, "falling_steep": 29.0}
+    shapes = {"threshold": 0.12, "width": 0.09}
+    laws = Laws([ThresholdFriction((0,), values | shapes)], 1, 1)
+    dry = {}
+    for v in (-0.2, -0.09, -1e-3, 1e-3, 0.09, 0.2):
+        one, zero = np.array([[v]]), np.zeros((1, 1))
+        state = JointState(zero, zero, one, zero, np.sign(one), zero)
+        laws.evaluate(state, state)
+        dry[v] = float(laws.dry[0, 0])
+    assert dry[0.2] == pytest.approx(2.0) and dry[-0.2] == pytest.approx(-3.0)
+    assert dry[1e-3] == dry[0.09] == pytest.approx(2.0 + 29.0 * 0.25**2)
+    assert dry[-1e-3] == dry[-0.09] == pytest.approx(-3.0 - 29.0 * 0.25**2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -28,6 +28,11 @@ class _Group:
 
     def torque(self, state: JointState) -> Any:
         """Torque at the group's joints, shape (B, k), [N·m]."""
+        if self.side == "dry" and "width" in self.shapes:
+            # A width smooths the sign for a fit. The constraint solver simulates
+            # sticking, and needs the level at the width down to standstill.
+            speed = np.maximum(np.abs(state.v), self.shapes["width"])
+            state = replace(state, v=state.sign * speed)
         terms = zip(self.gains, self.law(state, **self.shapes), strict=True)
         return sum(gain * term for gain, term in terms if gain is not None)
 
@@ -91,10 +96,6 @@ def _group(effects: Sequence[JointEffect]) -> _Group:
     shapes = {
         s.name: np.array([e.values[s.name] for e in effects]) for s in first.shapes
     }
-    if first.dry and "width" in shapes:
-        # A width smooths the sign for a fit. The constraint solver simulates sticking
-        # and needs the full level down to standstill.
-        shapes["width"] = np.zeros(len(effects))
     link = first.port is Port.ENVIRONMENT
     return _Group(
         law=first.law,
