@@ -201,8 +201,16 @@ def residual_covariance(products: CrossProducts, theta: Array) -> Array:
 
 
 def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> Array:
-    """Residual covariance; a floor keeps it invertible where a residual is zero."""
-    sums = products.weighted_total(share)
+    """Residual covariance; a floor keeps it invertible where a residual is zero.
+
+    The likelihood of a full covariance has no maximum in a short log: weights grow
+    until one combination of joints is fitted exactly. So its prior is inverse Wishart,
+    without correlation, of the fewest degrees of freedom at which it has a mean; a
+    block counts as one independent sample.
+
+    Source: Gelman et al. 2013, "Bayesian Data Analysis", section 3.6.
+    """
+    sums, blocks = products.weighted_total(share), share.sum()
     n = len(products.problem.support)
     counts = np.tensordot(share, products.counts, axes=1)
     freedom = np.maximum(1.0, counts - products.problem.size / n)
@@ -211,11 +219,13 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
     torque = np.array(products.problem.offsets[1:]) - 1
     power = np.diag(sums)[torque] / np.diag(freedom)
     floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
+    own = np.diag(np.clip(np.diag(sigma), 0.0, None) + floor)
     if not full:
-        return np.asarray(np.diag(np.clip(np.diag(sigma), 0.0, None) + floor))
+        return own
     # Joints stand at different times, so the pairwise covariance may be indefinite.
     values, vectors = eigh(sigma)
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T + np.diag(floor))
+    shared = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray((blocks * shared + (n + 1) * own) / (blocks + n + 1))
 
 
 def _block_weights(products: CrossProducts, theta: Array, weight: Array) -> Array:
