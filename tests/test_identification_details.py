@@ -118,6 +118,12 @@ def test_squares_on_a_fold_are_by_terms_of_the_others():
     assert after.sum() < before.sum()
 
 
+def test_a_joint_that_stands_throughout_a_fold_has_no_squares_there():
+    part, wave, _ = regression(gain=(0.3, -0.2))
+    before, after = part.cross_validated(wave[None], np.arange(400) // 50 % 3)
+    assert before[3] == after[0, 3] == 0 < after[0, :3].min()
+
+
 @pytest.mark.parametrize(("gain", "there"), [((0.1, 0.05), True), ((0.0, 0.0), False)])
 def test_a_wave_shows_where_noise_seldom_makes_as_much(gain, there):
     block = np.arange(400) // 10
