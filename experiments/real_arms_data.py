@@ -83,18 +83,12 @@ class Score:
     @property
     def ratio(self) -> Array:
         """RMS of the last stage over that of the better of LS and WLS, shape (n,)."""
-        return self._ratio(self.squares.sum(axis=1))
+        return ratios(self.squares)[0]
 
     @property
     def ratio_error(self) -> Array:
         """Standard error of the ratio by leaving out single seconds, shape (n,)."""
-        few = self.squares.sum(axis=1, keepdims=True) - self.squares
-        blocks = self.squares.shape[1]
-        return np.asarray(np.sqrt(blocks - 1) * self._ratio(few).std(axis=0))
-
-    @staticmethod
-    def _ratio(squares: Array) -> Array:
-        return np.asarray(np.sqrt(squares[1] / squares[0]))
+        return ratios(self.squares)[1]
 
     @property
     def plain(self) -> ValidationRow:
@@ -124,6 +118,21 @@ class Score:
             "unidentifiable": self.fit.unidentifiable,
             "warnings": self.warnings,
         }
+
+
+def ratios(squares: Array) -> tuple[Array, Array]:
+    """RMS of ours over plain least squares, with its standard error, shape (n,) each.
+
+    Args:
+        squares: See :class:`Score`; the error is found by leaving out single seconds.
+    """
+
+    def ratio(sums: Array) -> Array:
+        return np.asarray(np.sqrt(sums[1] / sums[0]))
+
+    few = squares.sum(axis=1, keepdims=True) - squares
+    error = np.sqrt(squares.shape[1] - 1) * ratio(few).std(axis=0)
+    return ratio(squares.sum(axis=1)), error
 
 
 def held_out_squares(fit: Fit, motion: Motion, standing: Array) -> Array:
