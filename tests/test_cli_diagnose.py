@@ -266,7 +266,7 @@ def test_a_file_has_a_line_for_each_step_that_takes_its_time(monkeypatch):
     assert target.getvalue().splitlines() == [
         "10 s: a quarter (about 30 s left)",
         "20 s: half (about 20 s left)",
-        "30 s: who knows (about 30 s left)",
+        "30 s: who knows",
     ]
 
 

@@ -74,7 +74,7 @@ class Screen:
 
         description = TextColumn("{task.description}", markup=False)
         is_terminal, start = self._err.is_terminal, monotonic()
-        last, behind = start, 0.0
+        last = start
         with Bar(
             SpinnerColumn(),
             description,
@@ -86,9 +86,9 @@ class Screen:
             task = bar.add_task(text, total=None)
 
             def tell(text: str, done: float | None = None, /) -> None:
-                nonlocal last, behind
-                now, behind = monotonic(), behind if done is None else done
-                text += _left(now - start, behind)
+                nonlocal last
+                now = monotonic()
+                text += _left(now - start, done)
                 if is_terminal:
                     bar.update(task, description=text)
                 elif now - last > _SHORT:
@@ -116,9 +116,9 @@ class Screen:
             yield
 
 
-def _left(elapsed: float, done: float) -> str:
+def _left(elapsed: float, done: float | None) -> str:
     """The remaining time, if the work goes on at the same rate."""
-    if not _GUESSED <= done < 1.0:
+    if done is None or not _GUESSED <= done < 1.0:
         return ""
     return f" (about {elapsed * (1.0 - done) / done:.0f} s left)"
 
