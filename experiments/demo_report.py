@@ -88,10 +88,10 @@ def write_identification(
 
 
 def _summary(validation: Validation) -> str:
-    first, last = validation.rows[0], validation.rows[-1]
+    plain, last = validation.reference, validation.rows[-1]
     text = (
         f"Mean RMS torque error on motions that no fit has seen: {last.mean:.3g} N·m "
-        f"instead of {first.mean:.3g} by plain least squares, "
+        f"instead of {plain.mean:.3g} by {plain.name}, "
         f"{validation.reduction:.0%} less"
     )
     if validation.noise_floor is not None:

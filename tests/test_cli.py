@@ -1,6 +1,7 @@
 """The command line: every verb, every exit code, and nothing half-written."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -201,7 +202,10 @@ class TestChain:
     def test_validate_shows_the_table_and_the_reduction(self, chain, capsys):
         run(f"validate --model {chain.model} --recordings {chain.log}")
         out = capsys.readouterr().out
-        assert "noise floor" in out and "less mean RMS than LS" in out
+        assert "noise floor" in out
+        said = r"([\d.]+)% less mean RMS than W?LS, (\S+) instead of (\S+) N·m"
+        less, error, plain = map(float, re.search(said, out).groups())
+        assert less == pytest.approx(100 * (1 - error / plain), abs=0.1)
         assert not any(line.endswith(" ") for line in out.splitlines())
 
     def test_a_narrow_terminal_loses_no_digit(self, chain, capsys, monkeypatch):

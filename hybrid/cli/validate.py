@@ -45,8 +45,8 @@ def run(args: Namespace, screen: Screen) -> None:
         validation = validate(model, recordings, robot=robot)
     options.write_record(args, how, validation.as_dict())
     screen.show_numbers(table_from_validation(validation))
-    first, last = validation.rows[0], validation.rows[-1]
+    plain, last = validation.reference, validation.rows[-1]
     screen.say(
-        f"{last.name}: {validation.reduction:.1%} less mean RMS than {first.name}, "
-        f"{last.mean:.4g} instead of {first.mean:.4g} N·m"
+        f"{last.name}: {validation.reduction:.1%} less mean RMS than {plain.name}, "
+        f"{last.mean:.4g} instead of {plain.mean:.4g} N·m"
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arguments import MODEL, RECORDING, check_argument
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.identification.data import check_torque
@@ -61,13 +62,15 @@ class Validation:
     seconds: float
 
     @property
-    def reduction(self) -> float:
-        """Share by which the last model lowers the mean RMS of LS or WLS.
+    def reference(self) -> ValidationRow:
+        """The better one of LS and WLS; the first model if there is neither."""
+        plain = [row for row in self.rows if row.name in ("LS", "WLS")]
+        return min(plain or self.rows[:1], key=lambda row: row.mean)
 
-        The reference is the better of the two.
-        """
-        plain = [row.mean for row in self.rows if row.name in ("LS", "WLS")]
-        return 1.0 - self.rows[-1].mean / min(plain or [self.rows[0].mean])
+    @property
+    def reduction(self) -> float:
+        """Share by which the last model lowers the mean RMS of the reference."""
+        return 1.0 - self.rows[-1].mean / self.reference.mean
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
@@ -113,6 +116,7 @@ def validate(
         ModelFileError: The model is of another arm.
         RecordingError: A recording does not fit the arm.
     """
+    check_argument(model, DynamicModel, MODEL)
     if robot is not None:
         check_same_arm(model, robot)
     motions, _ = prepare_motions(model.robot, recordings, model.cutoff)
@@ -179,6 +183,8 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
         RecordingError: The recording does not fit the arm, or has no torque although
             an effect of the model depends on it.
     """
+    check_argument(model, DynamicModel, MODEL)
+    check_argument(recording, Recording, RECORDING)
     motions, _ = prepare_motions(model.robot, [recording], model.cutoff)
     tau = np.concatenate([model.predict(motion) for motion in motions])
     if not np.isfinite(tau).all():
