@@ -21,6 +21,9 @@ class Shown:
 
     views: ClassVar[Callable[[], Any]]
 
+    def __repr__(self) -> str:
+        return str(Shown.views().text(self))
+
     def _repr_html_(self) -> str:
         return str(Shown.views().html(self))
 

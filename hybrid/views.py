@@ -37,6 +37,12 @@ if TYPE_CHECKING:
 _HEIGHT = 3.2  # inches
 
 
+def text(result: Any) -> str:
+    """The table of a result as lines of text."""
+    shown = table(result)
+    return f"{shown.caption}\n{report.markdown_table(shown)}"
+
+
 def html(result: Any) -> str:
     """The table of a result as HTML; names in it are escaped."""
     shown = table(result)

@@ -37,6 +37,7 @@ FLOORS = (
     {"recording"},
     {"robot"},
     {
+        "arguments",
         "arrays",
         "examples",
         "extras",

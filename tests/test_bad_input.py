@@ -5,6 +5,7 @@ import tracemalloc
 import warnings
 import zipfile
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,19 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from hybrid import identify, simulate
-from hybrid.errors import EffectError, HybridWarning, RecordingError
+from hybrid import (
+    OnlineIdentifier,
+    calibrate,
+    diagnose,
+    export,
+    fit_servo,
+    identify,
+    inspect_recording,
+    predict,
+    simulate,
+    validate,
+)
+from hybrid.errors import EffectError, HybridError, HybridWarning, RecordingError
 from hybrid.inspect import check_recordings
 from hybrid.recording import Recording, read, read_all, write
 from hybrid.robot import Chain, Robot
@@ -466,6 +478,53 @@ def test_real_logs_pass(folder):
     for warning in caught:
         message = str(warning.message)
         assert "ignored columns: " in message or "torque above 5 times" in message
+
+
+WRONG = {
+    "identify": lambda arm, log, fit: identify("arm.urdf", [log]),
+    "diagnose": lambda arm, log, fit: diagnose("arm.urdf", [log]),
+    "simulate": lambda arm, log, fit: simulate("arm.urdf"),
+    "inspect_recording": lambda arm, log, fit: inspect_recording(log, "arm.urdf"),
+    "fit_servo": lambda arm, log, fit: fit_servo("arm.urdf", [log]),
+    "calibrate": lambda arm, log, fit: calibrate("arm.urdf", "poses.csv"),
+}
+
+
+@pytest.mark.parametrize("verb", WRONG)
+def test_a_file_in_place_of_a_robot_is_told_how_to_load_one(verb):
+    with pytest.raises(HybridError, match=r"'arm.urdf' is no robot; .*Robot.load\("):
+        WRONG[verb](Robot.load("planar"), planar_log(), None)
+
+
+@pytest.mark.parametrize("given", ["logs", ["a.csv"], Path("logs"), None, 3, np.eye(2)])
+@pytest.mark.parametrize("verb", [identify, diagnose, fit_servo])
+def test_files_in_place_of_recordings_are_told_how_to_read_them(verb, given):
+    with pytest.raises(HybridError, match="is no recording; .*read_recordings"):
+        verb(Robot.load("planar"), given)
+
+
+def test_a_fit_in_place_of_its_model_is_told_where_the_model_is(tmp_path):
+    arm, log = Robot.load("planar"), planar_log()
+    fit = identify(arm, log, stages=("rigid",))
+    for verb in (
+        lambda: predict(fit, log),
+        lambda: validate(fit, [log]),
+        lambda: export(fit, tmp_path, format="c"),
+        lambda: OnlineIdentifier.from_model(fit, rate=500.0),
+    ):
+        with pytest.raises(HybridError, match="Fit is no model; .*fit.model"):
+            verb()
+
+
+def test_one_recording_is_a_list_of_one():
+    arm, log = Robot.load("planar"), planar_log()
+    alone, listed = (identify(arm, x, stages=("rigid",)) for x in (log, [log]))
+    np.testing.assert_array_equal(alone.estimate.theta, listed.estimate.theta)
+
+
+@cache
+def planar_log() -> Recording:
+    return simulate(Robot.load("planar"), trajectories=1, duration=5.0)[0]
 
 
 @pytest.mark.parametrize("verb", [simulate, identify])

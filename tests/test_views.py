@@ -44,6 +44,17 @@ def test_a_fit_shows_the_error_of_every_stage_and_joint(fit):
     assert "<th>shoulder</th>" in html and "<td>IRLS</td>" in html
 
 
+def test_everything_shows_itself_in_a_few_lines(arm, logs, fit, motions):
+    """As at Python's prompt; long arrays are not shown."""
+    assert repr(arm) == "<Robot planar: shoulder, elbow>"
+    assert "6 s, 3,001 samples of q, tau" in repr(logs[0])
+    assert "planar, rigid: " in repr(fit.model)
+    assert "| IRLS |" in repr(fit) and "held" not in repr(fit)
+    assert f"condition {motions.condition:.3g}" in repr(motions)
+    shown = (arm, logs[0], fit.model, fit, motions, inspect_recording(logs[0], arm))
+    assert max(len(repr(x)) for x in shown) < 2000
+
+
 def test_a_fit_is_drawn_into_axes_that_are_given(fit):
     axes = Figure().subplots()
     assert fit.plot(axes) is axes

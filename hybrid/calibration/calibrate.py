@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hybrid.arguments import ROBOT, check_argument
 from hybrid.arrays import Array
 from hybrid.calibration.alignment import align
 from hybrid.calibration.geometry import (
@@ -53,7 +54,7 @@ class Setup:
     load: Array | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Calibration(Shown):
     """A calibrated arm.
 
@@ -298,6 +299,9 @@ def _unit(label: str, robot: Robot) -> str:
 
 
 _TURNS = ("rx", "ry", "rz")
+_MEASUREMENTS = (
+    "measurement; valid are Measurements, as hybrid.calibration.read_measurements gives"
+)
 
 
 def _load(robot: Robot, q: Array, wanted: bool) -> Array | None:
@@ -310,6 +314,8 @@ def _load(robot: Robot, q: Array, wanted: bool) -> Array | None:
 
 
 def _check(robot: Robot, data: Measurements, free: Collection[str]) -> None:
+    check_argument(robot, Robot, ROBOT)
+    check_argument(data, Measurements, _MEASUREMENTS)
     unknown = [group for group in free if group not in GROUPS]
     if unknown:
         raise CalibrationError(

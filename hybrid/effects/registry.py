@@ -15,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from hybrid.arguments import check_argument
 from hybrid.effects.effect import Effect, Scale
 from hybrid.errors import EffectError
 from hybrid.names import printable
@@ -149,13 +150,12 @@ def check_effects(effects: Sequence[object]) -> None:
     Raises:
         EffectError: An item is no effect; the message says how to make one.
     """
+    words = (
+        "effect; valid are effects, as effects_from_text('stribeck:elbow', "
+        "robot.joints, joint_scales(robot)) makes them"
+    )
     for given in effects:
-        if not isinstance(given, Effect):
-            raise EffectError(
-                f"{given!r} is no effect; valid are effects, as "
-                "effects_from_text('stribeck:elbow', robot.joints, "
-                "joint_scales(robot)) makes them"
-            )
+        check_argument(given, Effect, words, EffectError)
 
 
 def effects_from_text(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arguments import ROBOT, check_argument
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.excitation.constraints import (
@@ -39,7 +40,7 @@ _REPAIRS, _REPAIR_ITERATIONS = 7, 60
 _ROUNDING = 1e-4  # an excess below is a rounding error
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Design(Shown):
     """Motions to run one after the other, and the information they bring.
 
@@ -192,6 +193,7 @@ def design(
         ExcitationError: No motion within the limits was found; the message names the
             limits and joints that prevent it.
     """
+    check_argument(robot, Robot, ROBOT)
     if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
     rng = np.random.default_rng(seed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from hybrid.arguments import MODEL, check_argument
 from hybrid.errors import HybridError
 from hybrid.exports.c_project import write_c
 from hybrid.exports.manifest import build_manifest, model_digest, seal
@@ -52,9 +53,11 @@ def export(
         What the format cannot express; the manifest lists it, too.
 
     Raises:
-        HybridError: The format is unknown, or its package is missing.
+        HybridError: ``model`` is none, the format is unknown, or its package is
+            missing.
         EffectError: An effect cannot run in a control loop.
     """
+    check_argument(model, DynamicModel, MODEL)
     if format not in FORMATS:
         raise HybridError(f"no format {format!r}; valid are {', '.join(FORMATS)}")
     if format == "onnx":

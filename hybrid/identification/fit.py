@@ -22,7 +22,7 @@ _MOST_NAMED = 6  # unknowns in one sentence
 _WEAK = 0.1  # share of an unknown in weak directions from which it is named
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit(Shown):
     """An identified model with its uncertainty.
 

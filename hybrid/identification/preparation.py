@@ -9,6 +9,7 @@ from itertools import zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arguments import RECORDING, ROBOT, check_argument, listed
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
@@ -69,10 +70,12 @@ def checked_logs(
     robot: Robot, recordings: Sequence[Recording | Motion]
 ) -> list[Recording | Motion]:
     """Check logs, see :func:`check_recordings`; motions are not checked."""
-    if not recordings:
+    check_argument(robot, Robot, ROBOT)
+    given = listed(recordings, (Recording, Motion), RECORDING)
+    if not given:
         raise IdentificationError("no recording given; at least one is needed")
     logs: list[Recording | Motion] = []
-    for x in recordings:
+    for x in given:
         logs += check_recordings([x], robot) if isinstance(x, Recording) else [x]
     return logs
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hybrid.arguments import RECORDING, ROBOT, check_argument
 from hybrid.inspect.coverage import JointCoverage, coverage_of, excitation_of
 from hybrid.inspect.doubt import Doubt, raise_or_warn
 from hybrid.inspect.glitches import doubts_of_rows
@@ -50,7 +51,9 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
     Warns:
         HybridWarning: The log has gaps, or an irregular clock.
     """
+    check_argument(recording, Recording, RECORDING)
     if robot is not None:
+        check_argument(robot, Robot, ROBOT)
         recording = recording.in_order(robot.joints)
     pieces = [_checked(piece, robot) for piece in unbroken(recording)]
     doubts = tuple(dict.fromkeys(doubt for piece in pieces for doubt in piece.doubts))

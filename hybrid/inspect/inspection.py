@@ -37,7 +37,7 @@ class Clock:
     holes: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Inspection(Shown):
     """What is known of a log before it is used.
 

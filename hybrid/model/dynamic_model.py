@@ -20,7 +20,7 @@ from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DynamicModel:
     """Drive torque = rigid body + effects + learned remainder.
 
@@ -50,6 +50,10 @@ class DynamicModel:
     inertial: Array | None = None
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     simpler: Mapping[str, DynamicModel] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        found = ", ".join(dict.fromkeys(effect.id for effect in self.effects))
+        return f"<DynamicModel of {self.robot.name}, {self.stage}: {found}>"
 
     @property
     def stage(self) -> str:

@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from hybrid.arguments import MODEL, check_argument
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
@@ -137,6 +138,7 @@ class OnlineIdentifier:
         cls, model: DynamicModel, *, rate: float, prior: float = 0.05
     ) -> OnlineIdentifier:
         """Start from an identified model; its learned remainder is left out."""
+        check_argument(model, DynamicModel, MODEL)
         inertial = model.base.standard()[: 10 * model.robot.size]
         return cls(
             model.robot,

@@ -14,7 +14,7 @@ from hybrid.recording.reading import Reading
 CHANNELS = ("q", "tau", "v", "command", "temperature")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """Joint log of a controller, on one clock.
 
@@ -98,6 +98,12 @@ class Recording:
             and all(
                 np.array_equal(x, other.channels[k]) for k, x in self.channels.items()
             )
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<Recording {self.source}: {self.duration:.3g} s, {len(self.t):,} samples "
+            f"of {', '.join(self.channels)} of {', '.join(self.joints)}>"
         )
 
     __hash__ = None  # type: ignore[assignment]

@@ -29,7 +29,7 @@ _SERVO = ("kp", "kd")
 _ROWS = {"ripple": 4, "falling": 3, "coupled": 5}  # numbers in a row
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Robot:
     """The nominal simulator of a serial arm of n joints.
 
@@ -150,6 +150,9 @@ class Robot:
         if model is not None:
             check_modelled(robot, model)
         return robot
+
+    def __repr__(self) -> str:
+        return f"<Robot {self.name}: {', '.join(self.joints)}>"
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arguments import RECORDING, ROBOT, check_argument, listed
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.progress import Progress, silent
@@ -68,10 +69,12 @@ def fit_servo(
         RecordingError: A log has no command, or no joint moves.
         RobotError: The link of a known mass does not exist.
     """
+    check_argument(robot, Robot, ROBOT)
+    logs = [x.in_order(robot.joints) for x in listed(recordings, Recording, RECORDING)]
     known, simulator = known_mass or {}, ServoSimulator(robot, gpu=gpu)
     prior = Drive.declared(robot).at(mass=known_masses(robot, known))
     struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
-    learn, unseen = _split(stretches_of([x.in_order(robot.joints) for x in recordings]))
+    learn, unseen = _split(stretches_of(logs))
     problem, start = _problem(simulator, learn, prior)
     allowed = np.tile(~problem.resting, (len(NAMES), 1))
     for at in struck:

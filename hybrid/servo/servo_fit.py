@@ -70,7 +70,7 @@ class ServoReplay:
     source: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ServoFit(Shown):
     """Servos of an arm, from logs of command and position.
 

@@ -149,7 +149,7 @@ class Unseen:
     noise: tuple[float, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis(Shown):
     """What a simulator lacks.
 
