@@ -5,6 +5,7 @@ import warnings
 from dataclasses import replace
 from functools import cache
 
+import mujoco
 import numpy as np
 import pytest
 from arms import MODELS
@@ -13,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wrong_logs import WRONG, about, healthy
 
+from hybrid import simulate
 from hybrid.cli import main
 from hybrid.diagnosis.diagnose import examine
 from hybrid.effects.coulomb import Coulomb
@@ -123,6 +125,30 @@ HEALTHY = {
     "3 s": lambda arm, x: (arm, gapless(x, slice(0, 1500))),
     "without speed": lambda arm, x: (arm, replace(x, v=None, command=None)),
 }
+
+
+def pair(axis: str, centre: float) -> Robot:
+    """Two joints, and the mass of the last link far beyond its joint."""
+    last = f'<joint name="b" axis="{axis}" range="-2 2"/>'
+    ball = '<geom size=".05" mass="{}" pos="{} 0 0"/>'
+    return Robot.load(
+        mujoco.MjModel.from_xml_string(
+            '<mujoco><compiler angle="radian"/><worldbody><body>'
+            f'<joint name="a" axis="0 0 1" range="-2 2"/>{ball.format(2, 0.2)}'
+            f'<body pos=".3 0 0">{last}{ball.format(1, centre)}</body>'
+            "</body></worldbody></mujoco>"
+        )
+    )
+
+
+@pytest.mark.parametrize("centre", [0.2, 0.5])
+@pytest.mark.parametrize("axis", ["0 1 0", "0 0 1"])
+def test_a_last_link_may_be_long(axis, centre):
+    """Nothing beyond the last joint tells a link's length but its own mass."""
+    arm = pair(axis, centre)
+    for seed in range(3):
+        (log,) = simulate(arm, trajectories=1, duration=6.0, seed=seed)
+        assert not inspect_recording(log, arm).doubts
 
 
 @pytest.mark.parametrize("part", [0.08, 0.15])

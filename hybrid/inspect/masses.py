@@ -20,7 +20,7 @@ from hybrid.inspect.state import State
 from hybrid.robot.chain import Chain
 
 CREEP = 0.02  # of the highest speed: width of the sign change of dry friction
-_REACH = 0.25  # of the arm's length: distance of masses from the origin of their link
+_REACH = 0.25  # of the arm's length: least distance of masses from their link's origin
 _DRIVE_COLUMNS = 6  # rotor, viscous, dry, spring, positive and negative offset
 _OFFSET_PENALTY = 0.1  # share of an offset that counts as residual: gravity is likelier
 _NEGLIGIBLE = 1e-3  # share of a torque's variance
@@ -34,11 +34,14 @@ def unit_masses(chain: Chain) -> Array:
     """Inertial parameters of masses of 1 kg at points of each link, shape (n, 10, 7).
 
     The points are the link's origin and the corners of an octahedron about it. Their
-    non-negative combinations cover any mass, centre and moments of inertia in reach.
+    non-negative combinations cover any mass, centre and moments of inertia in reach,
+    which the next joint, the arm's length, and the file's centres of mass tell.
     """
     lengths = np.linalg.norm(chain.translation, axis=1)
     arm = float(lengths.sum()) or 1.0
-    beyond = np.maximum(np.append(lengths[1:], 0.0), _REACH * arm)
+    mass, moment = chain.inertial[:, :1], chain.inertial[:, 1:4]
+    centre = np.linalg.norm(moment / np.maximum(mass, _TINY), axis=1)
+    beyond = np.maximum(np.maximum(np.append(lengths[1:], 0.0), centre), _REACH * arm)
     directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
     x, y, z = np.moveaxis(beyond[:, None, None] * directions, 2, 0)  # (n, 7) each
     rest = y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y
