@@ -7,6 +7,7 @@ import pytest
 from arms import MODELS
 from test_calibrate import disturbed, flange
 
+from hybrid.calibration import read_measurements
 from hybrid.cli import main
 from hybrid.robot import Robot
 
@@ -40,6 +41,22 @@ def test_chosen_poses_keep_to_the_limits(folder):
     q = np.loadtxt(folder / "plan" / "poses.csv", delimiter=",", skiprows=1)
     assert q.shape == (40, 6)
     assert (q >= robot.q_min - 1e-6).all() and (q <= robot.q_max + 1e-6).all()
+
+
+def test_chosen_poses_read_back_whatever_the_joints_are_called(tmp_path):
+    text = (MODELS / "planar.urdf").read_text("utf-8")
+    arm = tmp_path / "arm.urdf"
+    arm.write_text(text.replace('"shoulder"', '"a, b"'), encoding="utf-8")
+    run = f"calibrate --robot {arm} --choose 6 --measure pose --out {tmp_path}/plan"
+    assert main(run.split()) == 0
+    plan = tmp_path / "plan" / "poses.csv"
+    names, *rows = plan.read_text("utf-8").splitlines()
+    more = ["x,y,z", *["0.1,0.2,0.3"] * len(rows)]
+    lines = [",".join(x) for x in zip([names, *rows], more, strict=True)]
+    plan.write_text("\n".join(lines), encoding="utf-8")
+    joints = Robot.load(arm).joints
+    assert "a, b" in joints
+    assert read_measurements(plan, joints).q.shape == (6, 2)
 
 
 def test_the_new_file_is_nearer_to_the_true_arm(folder):

@@ -86,7 +86,7 @@ def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
     import numpy as np
 
     from hybrid.calibration import choose_poses, random_poses
-    from hybrid.files import atomic_path
+    from hybrid.recording.write import write_columns
 
     path = args.out / "poses.csv"
     how = options.begin(args, [path])
@@ -95,10 +95,9 @@ def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
         rows = choose_poses(
             robot, candidates, args.choose, kind=args.measure, free=args.free
         )
-    chosen = candidates[rows]
-    header = ",".join(f"q_{joint}" for joint in robot.joints)
-    with atomic_path(path) as temporary:
-        np.savetxt(temporary, chosen, "%.6f", ",", header=header, comments="")
+    chosen = np.round(candidates[rows], 6)  # µrad or µm
+    names = [f"q_{joint}" for joint in robot.joints]
+    write_columns(path, dict(zip(names, chosen.T, strict=True)))
     options.write_record(args, how, {"robot": robot.name, "poses": chosen})
     screen.say(f"{len(rows)} of {_CANDIDATES} random poses: {path}")
 
