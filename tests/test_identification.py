@@ -10,7 +10,9 @@ from simulated import arm, motions, quiet, with_torque
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.dynamics.pseudo_inertia import is_consistent
+from hybrid.effects.backlash import Backlash
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, IdentificationError, RecordingError
@@ -229,3 +231,17 @@ def test_a_motion_that_is_masked_altogether_is_left_out():
     assert np.array_equal(both.estimate.theta, alone.estimate.theta)
     with pytest.raises(IdentificationError, match="no usable sample"):
         identify(robot, [masked], cutoff=20.0, **RIGID)
+
+
+@pytest.mark.parametrize("law", [Backlash, Elasticity])
+def test_play_and_softness_that_an_arm_does_not_have_are_not_found(law):
+    """Gains stay in their bounds while the problem is made linear about them."""
+    robot, recordings = arm("planar"), logs(arm("planar"), count=4)
+    asked = [law((j,)) for j in range(robot.size)]
+    without, found = (
+        quiet(identify, robot, recordings, effects=x, **RIGID)[0] for x in ([], asked)
+    )
+    gain, *_ = law.gains
+    gains = [x.values[gain.name] for x in found.model.effects if x.id == law.id]
+    assert len(gains) == 2 and all(0 <= x < gain.typical / 3 for x in gains)
+    assert (found.held_out["rigid"] < 1.3 * without.held_out["rigid"]).all()

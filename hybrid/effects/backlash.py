@@ -53,7 +53,8 @@ class Backlash(Effect):
         See :meth:`Effect.columns`; shape (N, n, 1). It is not linear for any width,
         since the time to cross a gap grows with its cube root.
         """
-        half = self.values["half_width"] or self.gains[0].typical
+        half = self.values["half_width"]
+        half = half if half > 0 else self.gains[0].typical
         dq, dv, da = self._play(motion, body, half)
         return body.response(dq / half, dv / half, da / half)[:, :, None]
 

@@ -51,7 +51,7 @@ class Elasticity(Effect):
     def columns(self, motion: Motion, body: Body) -> Array:
         """Change of torque over the compliance, at its value.
 
-        See :meth:`Effect.columns`; shape (N, n, 1). At a compliance of 0 it is the
+        See :meth:`Effect.columns`; shape (N, n, 1). At a compliance up to 0 it is the
         first order, of a link that does not oscillate.
         """
         return body.response(*self._twist(motion, body))[:, :, None]
@@ -84,7 +84,7 @@ class Elasticity(Effect):
         (j,) = self.joints
         compliance, damping = self.values["compliance"], self.values["damping"]
         place, load = np.zeros_like(motion.q), body.load[:, j]
-        if compliance == 0:
+        if compliance <= 0:
             place[:, j] = -load
             speed = np.gradient(place, motion.t, axis=0)
             return place, speed, np.gradient(speed, motion.t, axis=0)

@@ -74,7 +74,7 @@ class Solver:
         """
         for _ in range(_MOST_LINEARISATIONS):
             products = self._data.products(problem)
-            theta = solve_weighted(products, self._estimators[-1]).theta
+            theta = solve_weighted(products, self._estimators[-1], bounded=True).theta
             effects = with_zero_gains(problem.fitted(theta)[1])
             before = [x for e in problem.effects for x in e.gain_values]
             problem = build_problem(
