@@ -19,6 +19,7 @@ from hybrid.cli import main
 from hybrid.cli.shared import options
 from hybrid.effects import effect_classes, registry
 from hybrid.errors import HybridWarning
+from hybrid.recording.mapping import PRESETS
 from hybrid.identification import DynamicModel, predict, validate
 from hybrid.identification.three_stage import STAGES
 from hybrid.plant import simulate
@@ -378,6 +379,15 @@ class TestIdentifyAndPredict:
         assert inertial.shape == (2, 10) and (inertial[:, 0] > 0).all()
 
 
+def test_an_export_names_the_files_of_its_own_format(chain, tmp_path, capsys):
+    for kind in ("json", "c"):
+        run(f"export --model {chain.model} --format {kind} --out {tmp_path}")
+    first, second = capsys.readouterr().out.split("planar as c")
+    assert "manifest.json, model.json" in first
+    assert "planar.h" in second and "model.json" not in second
+    assert (tmp_path / "model.json").exists()
+
+
 class TestEffects:
     def test_all_effects_are_listed(self, capsys, monkeypatch):
         monkeypatch.setenv("COLUMNS", "200")  # no equation is broken over lines
@@ -676,6 +686,7 @@ def test_a_warning_is_one_line_and_said_once(capsys, monkeypatch):
 def test_help_names_every_stage_estimator_and_verb(capsys):
     for args, words in (
         (["identify", "--help"], (*STAGES, *ESTIMATORS)),
+        (["inspect", "--help"], PRESETS),
         (["--help"], VERBS),
     ):
         with pytest.raises(SystemExit) as stopped:

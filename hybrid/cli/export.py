@@ -64,13 +64,14 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Export and say what is missing."""
-    from hybrid.exports import export
+    from hybrid.exports import export, read_manifest
+    from hybrid.exports.manifest import FILE as MANIFEST
 
     if args.out.exists() and not args.out.is_dir():
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")
     model = _with_file(options.load_model(args, args.model), args)
     motions = _motions(args, model, screen)
-    how = options.begin(args, [args.out / "manifest.json"])
+    how = options.begin(args, [args.out / MANIFEST])
     with screen.working("exporting"):
         left_out = export(model, args.out, format=args.format, motions=motions)
     robot = model.robot
@@ -78,7 +79,7 @@ def run(args: Namespace, screen: Screen) -> None:
     gap = _gap(args, model, motions)
     found = {name: x.tolist() for name, x in gap.items()}
     options.write_record(args, how, {**content, "left_out": left_out, "gap": found})
-    files = ", ".join(sorted(path.name for path in args.out.iterdir()))
+    files = ", ".join(sorted([MANIFEST, *read_manifest(args.out)["files"]]))
     screen.say(f"{robot.name} as {args.format} in {args.out}: {files}")
     for text in left_out:
         screen.say(f"  not in it: {text}")

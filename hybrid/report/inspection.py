@@ -43,7 +43,7 @@ def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
 
 def _unit(column: Used) -> tuple[str, str]:
     """Unit of a column in its file, and how it was converted."""
-    unit = column.unit if column.stated else f"{column.unit} (assumed)"
+    unit = column.unit.replace("*", "·") + " (assumed)" * (not column.stated)
     if (column.factor, column.offset) == (1.0, 0.0):
         return unit, ""
     shift = f" + {column.offset:.6g}" if column.offset else ""

@@ -95,8 +95,8 @@ def add_map(parser: ArgumentParser) -> None:
         "--map",
         metavar="FILE.yaml",
         help="which column is which channel of which joint in which unit, or the name "
-        "of a preset: ur_rtde, libfranka, lerobot, joint_state, plotjuggler (default: "
-        "what labels and formats say)",
+        "of a preset: ur_rtde, ur_driver, libfranka, libfranka_log, lerobot, "
+        "joint_state, plotjuggler (default: what labels and formats say)",
     )
 
 
