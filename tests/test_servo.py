@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from hybrid.cli import main
 from hybrid.dynamics import inverse_dynamics
-from hybrid.errors import RecordingError, RobotError
-from hybrid.recording import Recording, write
+from hybrid.errors import HybridWarning, RecordingError, RobotError
+from hybrid.recording import Recording, read, write
 from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
@@ -25,7 +25,7 @@ from hybrid.servo.problem import Problem
 from hybrid.servo.search import Search
 from hybrid.servo.simulator import ServoSimulator, goals
 from hybrid.servo.start import first_guess
-from hybrid.servo.stretch import Stretch, chosen, stretches_of
+from hybrid.servo.stretch import Stretch, chosen, stretches_of, without_torque
 from hybrid.servo.write import write_servos
 
 ARM = """<mujoco model="two">
@@ -501,6 +501,17 @@ def test_a_servo_of_which_a_file_says_nothing_holds_the_arm_anywhere(robot):
 def test_a_log_without_command_is_refused(robot):
     with pytest.raises(RecordingError, match="neither torque nor command"):
         fit_servo(robot, [replace(log(0), command=None)])
+
+
+def test_a_log_whose_torque_is_a_current_is_told_so(tmp_path, robot):
+    labels = ["time", *(f"{x}_{j}" for x in ("q", "tau") for j in robot.joints)]
+    rows = np.hstack([np.arange(3.0)[:, None], np.ones((3, 2 * robot.size))])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(labels),
+               comments="")  # fmt: skip
+    with pytest.warns(HybridWarning, match="ignored columns"):
+        log = read(tmp_path / "a.csv", map="ur_driver", torque=False)
+    with pytest.raises(RecordingError, match="nor command .*torque_constant is needed"):
+        without_torque([log])
 
 
 COUNT = 2 * len(QUANTITIES)

@@ -60,7 +60,8 @@ def servos_table(fit: ServoFit) -> Table:
         for x, std in zip(fit.drive[each.name], fit.std[k], strict=True):
             off = x * np.expm1(1.96 * std) if each.positive else 1.96 * std
             cells.append(f"{x:.3g} ± {off:.1g}" if std else f"{x:.3g}")
-        rows.append((f"{each.name.replace('_', ' ')}, {each.unit}", *cells))
+        name = each.name.replace("_", " ")
+        rows.append((f"{name}, {each.unit}" if each.unit else name, *cells))
     return Table(("", *fit.robot.joints), tuple(rows))
 
 

@@ -75,12 +75,20 @@ def without_torque(recordings: Sequence[Recording]) -> bool:
             "logs that all have torque, or none"
         )
     for x in lacking:
-        if x.command is None:
-            raise RecordingError(
-                f"{x.source}: neither torque nor command; valid are columns of one of "
-                "them beside positions"
-            )
+        _check_command(x)
     return bool(lacking)
+
+
+def _check_command(recording: Recording) -> None:
+    """Refuse a log without command, with the reasons why columns are not used."""
+    if recording.command is None:
+        aside = recording.reading.aside if recording.reading else ()
+        reasons = "; ".join(dict.fromkeys(why for _, why in aside))
+        raise RecordingError(
+            f"{recording.source or 'recording'}: neither torque nor command"
+            f"{f' (set aside: {reasons})' if reasons else ''}; valid are columns of "
+            "one of them beside positions"
+        )
 
 
 def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
@@ -94,11 +102,7 @@ def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
     """
     found = []
     for recording in recordings:
-        if recording.command is None:
-            raise RecordingError(
-                f"{recording.source or 'recording'}: neither torque nor command; valid "
-                "is a log with one of them"
-            )
+        _check_command(recording)
         for piece in map(resample, unbroken(recording)):
             assert piece.command is not None
             step = piece.duration / (len(piece.t) - 1)
