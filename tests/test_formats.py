@@ -156,6 +156,15 @@ def test_unknown_columns_are_ignored_in_one_warning_that_lists_them(tmp_path):
     assert recording.size == 1
 
 
+def test_alike_files_of_a_folder_cause_alike_warnings(tmp_path):
+    """The screen shows the same line once."""
+    for name in ("a.csv", "b.csv"):
+        text(tmp_path / name, ["t", "q1", "tau1", "note"], np.arange(8.0).reshape(2, 4))
+    with pytest.warns(HybridWarning) as warned:
+        read_all(tmp_path)
+    assert {str(x.message) for x in warned} == {f"{tmp_path}: ignored columns: note"}
+
+
 @pytest.mark.parametrize("joints", [None, ("elbow",)])
 def test_a_commanded_speed_is_not_the_speed_of_another_joint(tmp_path, joints):
     labels = ["t", "q1", "tau1", "q_cmd1", "dq_cmd1"]

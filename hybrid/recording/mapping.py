@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping as MappingType
 from collections.abc import Sequence
@@ -222,14 +223,21 @@ def _columns(value: Any, where: str) -> str | dict[str, str]:
 
 
 def _factor(value: Any, where: str) -> Factor:
+    if isinstance(value, dict):
+        return {str(k): _number(x, where) for k, x in value.items()}
+    if isinstance(value, (list, tuple)):
+        return tuple(_number(x, where) for x in value)
+    return _number(value, where)
+
+
+def _number(value: Any, where: str) -> float:
     try:
-        if isinstance(value, dict):
-            return {str(k): float(x) for k, x in value.items()}
-        if isinstance(value, (list, tuple)):
-            return tuple(map(float, value))
-        return float(value)
-    except (TypeError, ValueError) as error:
-        raise RecordingError(f"{where} is {value!r}; valid are numbers") from error
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise RecordingError(f"{where} is {value!r}; valid are numbers")
+    return number
 
 
 # Patterns of labels for which a preset applies by itself, and its content.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import warnings
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -74,10 +75,13 @@ def read_all(
     recordings, left = list[Recording](), list[NoJointsError]()
     for file, single in found.items():
         try:
-            recordings += [
-                recording_of(log, joints=joints, map=mapping, torque=torque)
-                for log in _logs(file, progress)
-            ]
+            for log in _logs(file, progress):
+                # Alike files of a folder share a warning.
+                home = "" if single else str(file.parent)
+                tables = tuple(replace(x, home=x.home or home) for x in log)
+                recordings.append(
+                    recording_of(tables, joints=joints, map=mapping, torque=torque)
+                )
         except NoJointsError as error:
             if single:
                 raise
