@@ -19,12 +19,12 @@ from hybrid.cli import main
 from hybrid.cli.shared import options
 from hybrid.effects import effect_classes, registry
 from hybrid.errors import HybridWarning
-from hybrid.recording.mapping import PRESETS
 from hybrid.identification import DynamicModel, predict, validate
 from hybrid.identification.three_stage import STAGES
 from hybrid.plant import simulate
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, read, read_all, write
+from hybrid.recording.mapping import PRESETS
 from hybrid.regression.least_squares import ESTIMATORS
 from hybrid.robot import Robot
 
