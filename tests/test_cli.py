@@ -407,6 +407,12 @@ class TestEffects:
             assert text in out
         assert "rated torque" in out and "0.001 to 1" in out
 
+    def test_a_robot_that_cannot_be_shown_is_refused_at_once(self, capsys):
+        assert main("effects stribeck --robot no.xml".split()) == 2
+        shown = capsys.readouterr()
+        assert shown.out == "" and "no.xml" in shown.err
+        assert "name it" in complaint(capsys, f"effects --robot {PLANAR}")
+
     def test_json_holds_what_every_effect_states(self, tmp_path):
         run(f"effects --json {tmp_path}/effects.json")
         content = json.loads((tmp_path / "effects.json").read_text("utf-8"))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen, words_table
+from hybrid.errors import HybridError
 
 if TYPE_CHECKING:
     from hybrid.effects import Effect, Quantity
@@ -45,17 +46,20 @@ def run(args: Namespace, screen: Screen) -> None:
     """List or describe."""
     from hybrid.effects import effect_class, effect_classes
 
-    how = options.begin(args)
+    if args.robot and not args.effect:
+        raise HybridError("--robot shows the sizes of one effect; name it")
     if args.effect:
         found = [effect_class(args.effect)]
     else:
         found = list(effect_classes().values())
+    robot = options.load_robot(args) if args.robot else None
+    how = options.begin(args)
     content = {"effects": [content_from_class(cls) for cls in found]}
     options.write_record(args, how, content)
     if args.effect:
         _show_one(found[0], screen)
-        if args.robot:
-            _show_sizes(found[0], options.load_robot(args), screen)
+        if robot:
+            _show_sizes(found[0], robot, screen)
     else:
         _show_all(found, screen)
 
