@@ -212,6 +212,11 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_the_foot_of_a_page_leaves_out_what_is_empty():
+    page = report.render_page("x", [], provenance={"seed": 0, "inputs": []})
+    assert "seed" in page and "inputs" not in page
+
+
 def test_provenance_names_versions_and_what_it_was_given():
     found = report.provenance(seed=7, data="sha256:00")
     assert found["seed"] == 7

@@ -16,6 +16,7 @@ from hybrid.cli import main
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import HybridWarning, RecordingError, RobotError
 from hybrid.recording import Recording, read, write
+from hybrid.report.servo import servos_table
 from hybrid.robot import Robot
 from hybrid.servo import Drive, fit_servo
 from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
@@ -206,6 +207,9 @@ def test_a_number_known_to_be_right_is_never_fitted(folder):
     for drive in (fit.drive, fit.plain_drive, fit.written):
         assert drive["stiffness"] == pytest.approx([25.0, 20.0])
     assert "controller_gain" not in {x.effect for x in fit.findings}
+    rows = servos_table(replace(fit, std=np.full_like(fit.std, 1.2))).rows
+    assert {"mass", "stall, N·m"} <= {name for name, *_ in rows}
+    assert "e+" not in " ".join(cell for _, *cells in rows for cell in cells)
 
 
 def test_evidence_of_fitted_parts_does_not_outweigh_parts_that_are_not(robot):

@@ -105,7 +105,8 @@ def render_template(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made = [(name, _line(x)) for name, x in (provenance or {}).items()]
+    lines = {name: _line(x) for name, x in (provenance or {}).items()}
+    made = [(name, line) for name, line in lines.items() if line]
     return environment.get_template(name).render(provenance=made, **content)
 
 
