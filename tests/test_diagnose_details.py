@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from simulated import arm, quiet
@@ -14,6 +15,7 @@ from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.intervals import shrunk
 from hybrid.diagnosis.answer.simulator import corrected
+from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import _Clock
 from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
 from hybrid.diagnosis.gap.background import background
@@ -30,6 +32,7 @@ from hybrid.errors import RecordingError
 from hybrid.plant import Noise, Plant, random_fourier, simulate
 from hybrid.plant.rollout import _before_report
 from hybrid.recording import Recording
+from hybrid.robot import Robot
 from hybrid.robot.chain import INERTIAL_NAMES
 from hybrid.signals import Motion, motion_from_recording
 
@@ -232,3 +235,16 @@ def test_the_torque_before_a_report_is_reported_as_the_logged_one(effect):
     assert np.abs(before - logged).max() > 0.02
     off = np.abs(effect.report(t, before) - logged)[50:-50]
     assert off.max() < 1e-3
+
+
+def test_a_joint_may_move_no_body_of_its_own():
+    """Two hinges of one body, as a universal joint is written."""
+    ball = '<geom size=".1" mass="1" pos=".2 0 0"/>'
+    robot = Robot.load(
+        mujoco.MjModel.from_xml_string(
+            '<mujoco><worldbody><body><joint name="x" axis="1 0 0"/>'
+            f'<joint name="y" axis="0 1 0"/>{ball}</body></worldbody></mujoco>'
+        )
+    )
+    logs = simulate(robot, trajectories=2, duration=6.0)
+    assert examine(robot, logs).diagnosis.verdict == "no_gap"

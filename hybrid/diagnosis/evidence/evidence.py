@@ -26,6 +26,7 @@ from hybrid.diagnosis.evidence.screening import Screening, by_size
 from hybrid.diagnosis.gap.gap import Columns, Gap
 
 _NONE = np.zeros(0, dtype=np.intp)
+_LEAST_STD = 1e-12  # SI units: a gain that is known, as of a link without a mass
 _SCREENS = 4  # kept screenings: of two bases, for candidates and for unknown laws
 
 
@@ -105,7 +106,7 @@ class Evidence(Products):
         if not blocks:
             return []
         index = self.add_columns(blocks, [len(s) for s in std])
-        size = np.maximum(np.concatenate(std), 1e-12)
+        size = np.maximum(np.concatenate(std), _LEAST_STD)
         self._size = np.concatenate([self._size, size])
         self.precision = np.concatenate([self.precision, size**-2.0])
         return index
@@ -209,7 +210,8 @@ class Evidence(Products):
         bounds and ``fixed_gains`` see :func:`.log_bayes`.
         """
         H, s = self._schur_complement(base, columns, len(std))
-        worth, gains, factor = heavy_tailed(H, s, std**-2.0, lower, fixed_gains)
+        precision = np.maximum(std, _LEAST_STD) ** -2.0
+        worth, gains, factor = heavy_tailed(H, s, precision, lower, fixed_gains)
         return Trial(float(worth), gains, float(factor))
 
     def log_likelihood(self, base: Index, columns: Columns, gains: Array) -> float:
