@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import fcntl
 import json
 import os
@@ -23,15 +24,20 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path, and rename it to ``path`` if no exception occurs.
 
     On an exception the temporary file is removed and the old file stays unchanged.
-    Missing parent folders are created.
+    Missing parent folders are created. A link stays, and what it leads to is replaced.
 
     Args:
         path: Path of the finished file.
 
     Yields:
         A path in the same folder, with the same suffix.
+
+    Raises:
+        OSError: The path is a folder, a device or a pipe.
     """
-    path = Path(path)
+    if fault := output_fault(path):
+        raise OSError(errno.EINVAL, fault, str(path))
+    given, path = path, Path(path).resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:12]}{path.suffix}")
     try:
@@ -41,10 +47,19 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         _sync(path.parent)
     except OSError as error:
         if error.errno is not None:  # a full disk names no file
-            error.filename = str(path)
+            error.filename = str(given)
         raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def output_fault(path: str | Path) -> str:
+    """Say why a file cannot take the place of a path; empty if it can."""
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        kind = "folder" if path.is_dir() else "device or pipe"
+        return f"is a {kind}; valid is the name of a file"
+    return ""
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The command line: every verb, every exit code, and nothing half-written."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -618,6 +619,13 @@ class TestBadInput:
         monkeypatch.setenv("HYBRID_DEBUG", "1")
         with pytest.raises(ValueError, match="two"):
             main(["effects"])
+
+
+def test_a_pipe_is_refused_before_anything_is_shown(tmp_path, capsys):
+    os.mkfifo(tmp_path / "pipe")
+    assert main(f"effects --json {tmp_path}/pipe".split()) == 2
+    shown = capsys.readouterr()
+    assert shown.out == "" and "pipe: is a device or pipe" in shown.err
 
 
 class TestInterrupt:

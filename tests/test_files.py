@@ -76,6 +76,25 @@ def test_a_folder_with_folders_in_it_keeps_them(tmp_path):
     assert {x.name for x in (tmp_path / "out").iterdir()} == {"a.txt", "b.txt", "mine"}
 
 
+def test_a_device_or_a_pipe_is_never_replaced(tmp_path):
+    """As /dev/null and /dev/stdout, which root could rename a file over."""
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    for path in (pipe, link):
+        with pytest.raises(OSError, match="is a device or pipe; valid is the name"):
+            write_json(path, {})
+    assert pipe.is_fifo() and link.is_symlink()
+    assert {x.name for x in tmp_path.iterdir()} == {"pipe", "link"}
+
+
+def test_a_link_stays_and_its_file_is_replaced(tmp_path):
+    (tmp_path / "here.json").symlink_to("there.json")
+    write_json(tmp_path / "here.json", {"a": 1})
+    assert (tmp_path / "here.json").is_symlink()
+    assert read_json(tmp_path / "there.json") == {"a": 1}
+
+
 @pytest.mark.parametrize("is_new", [True, False])
 def test_an_interrupt_leaves_what_was_there(tmp_path, is_new):
     folder = tmp_path / "out"

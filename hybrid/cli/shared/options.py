@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
+from hybrid.files import output_fault
 
 if TYPE_CHECKING:
     from hybrid.effects import Effect
@@ -251,15 +252,15 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -
     """Refuse outputs that cannot be written, before any work is done.
 
     Raises:
-        HybridError: An output is a folder, lies where nothing can be written, is named
-            twice, or is an input.
+        HybridError: An output is a folder or a device, lies where nothing can be
+            written, is named twice, or is an input.
     """
     taken = {path.resolve(): "an input" for path in inputs}
     for path in outputs:
         if path is None:
             continue
-        if path.is_dir():
-            raise HybridError(f"{path}: is a folder; valid is the name of a file")
+        if fault := output_fault(path):
+            raise HybridError(f"{path}: {fault}")
         parent = path.resolve().parent
         while not parent.exists():
             parent = parent.parent
