@@ -59,7 +59,8 @@ def servos_table(fit: ServoFit) -> Table:
         cells = []
         for x, std in zip(fit.drive[each.name], fit.std[k], strict=True):
             off = x * np.expm1(1.96 * std) if each.positive else 1.96 * std
-            cells.append(f"{x:.3g} ± {off:.1g}" if std else f"{x:.3g}")
+            digit = float(f"{off:.1g}")  # 60, and not 6e+01
+            cells.append(f"{x:.3g} ± {digit:g}" if std else f"{x:.3g}")
         name = each.name.replace("_", " ")
         rows.append((f"{name}, {each.unit}" if each.unit else name, *cells))
     return Table(("", *fit.robot.joints), tuple(rows))
