@@ -30,7 +30,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
         "no_gap": "No gap: only noise is left, and the usual errors of robot files.",
         "explained": f"Explained: {effects} for {part} of the gap above noise.",
         "partly_explained": f"Partly explained: {effects} for {part} of the gap above "
-        "noise; what causes the rest is not known.",
+        "noise; of the rest no cause is certain.",
         "unexplained": "Unexplained: there is a gap, and no known effect is its cause.",
         "not_excited": "Not excited: these recordings move the arm too little to tell.",
     }[diagnosis.verdict]

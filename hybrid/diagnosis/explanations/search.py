@@ -141,6 +141,7 @@ class Search(Proposals):
         A simulator has no other laws. The effects are not reported as causes.
         """
         if self.known == self.whole:
+            self._reset_file_error()
             return
         self.causes, self.library_only = self.known, True
         self.refused = frozenset()
