@@ -141,7 +141,7 @@ class Search(Proposals):
         A simulator has no other laws. The effects are not reported as causes.
         """
         if self.known == self.whole:
-            self._reset_file_error()
+            self._reset_file_error()  # simpler causes may have taken the place of some
             return
         self.causes, self.library_only = self.known, True
         self.refused = frozenset()
@@ -159,15 +159,12 @@ class Search(Proposals):
             if not (bad or self._reset_file_error() or self.update_noise(self.causes)):
                 break
             self.causes = [c for c in self.causes if c not in bad]
-            # Of two that explain the same, neither helps beside the other.
             bad.sort(key=lambda c: gains[c])
-            again = {c for c in bad[1:] if self._helps_alone(c)}
-            self.refused |= {c.place for c in bad if c not in again}
-
-    def _helps_alone(self, cause: Cause) -> bool:
-        """Whether one more cause lowers the loss on test samples."""
-        gain = self.unseen_loss(self.causes) - self.unseen_loss([*self.causes, cause])
-        return bool(np.min(gain) > 0)
+            # Of two that explain the same, neither helps beside the other: all but the
+            # worst may come back if they help alone.
+            loss, rest = self.unseen_loss(self.causes), self.causes
+            alone = {c for c in bad[1:] if np.all(self.unseen_loss([*rest, c]) < loss)}
+            self.refused |= {c.place for c in bad if c not in alone}
 
     def _improve(self) -> None:
         for _ in range(_ROUNDS):
