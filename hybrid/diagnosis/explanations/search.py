@@ -48,6 +48,7 @@ class Search(Proposals):
         self.causes: list[Cause] = []
         self.beliefs: list[Belief] = []
         self.whole: list[Cause] = []
+        self._certain: list[Cause] = []  # causes that stay
         self._checked: dict[Cause, frozenset[object]] = {}
         self._file_errors = self.prior.file_errors  # that are tried
         self._progress: Progress = silent
@@ -144,7 +145,7 @@ class Search(Proposals):
             self._reset_file_error()  # simpler causes may have taken the place of some
             return
         self.causes, self.library_only = self.known, True
-        self.refused = frozenset()
+        self._certain, self.refused = self.known, frozenset()
         usual = self._with_usual(self.causes)
         self.causes = max(self.causes, usual, key=self.score)
         self._remove()
@@ -155,7 +156,7 @@ class Search(Proposals):
         while True:
             self._improve()
             gains = self.unseen_gain(self.causes)
-            bad = [c for c, gain in gains.items() if gain <= 0]
+            bad = [c for c in self._doubtful() if gains[c] <= 0]
             if not (bad or self._reset_file_error() or self.update_noise(self.causes)):
                 break
             self.causes = [c for c in self.causes if c not in bad]
@@ -171,7 +172,7 @@ class Search(Proposals):
             changed = False
             while self._add():
                 changed = True
-            for cause in list(self.causes):
+            for cause in self._doubtful():
                 state = self._neighbours(cause)
                 if cause in self.causes and self._checked.get(cause) != state:
                     if self._exchange(cause):
@@ -180,6 +181,10 @@ class Search(Proposals):
                         self._checked[cause] = self._neighbours(cause)
             if not (changed or self._fit_file_error() or self._exchange_file_error()):
                 break
+
+    def _doubtful(self) -> list[Cause]:
+        """Causes that may be exchanged or removed."""
+        return [c for c in self.causes if c not in self._certain]
 
     def _neighbours(self, cause: Cause) -> frozenset[object]:
         """What an exchange of a cause depends on, above all causes at its joints."""
@@ -271,10 +276,10 @@ class Search(Proposals):
 
     def _remove(self) -> None:
         """Remove causes whose evidence is below their odds and errors of other laws."""
-        while self.causes:
+        while doubtful := self._doubtful():
             now = self.score(self.causes)
-            rest = [[x for x in self.causes if x is not c] for c in self.causes]
-            pairs = zip(self.causes, rest, strict=True)
+            rest = [[x for x in self.causes if x is not c] for c in doubtful]
+            pairs = zip(doubtful, rest, strict=True)
             worth = now - np.array([self.score(x) for x in rest])
             spare = worth - np.array([self._rough_errors(x, c) for c, x in pairs])
             weakest = int(np.argmin(spare))
