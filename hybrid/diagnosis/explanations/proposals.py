@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from weakref import proxy
@@ -54,14 +54,23 @@ class Proposals(Posterior):
     library_only = False
 
     def proposals(
-        self, causes: Sequence[Cause], own: Cause | None = None
+        self,
+        causes: Sequence[Cause],
+        own: Cause | None = None,
+        at: Collection[int] | None = None,
     ) -> list[Proposal]:
-        """Causes that may be added to some causes, or replace ``own``, best first."""
+        """Causes that may be added to some causes, or replace ``own``, best first.
+
+        ``at`` are joints, at one of which they act; all by default.
+        """
         whole, rest = self.columns(causes), [c for c in causes if c is not own]
         base, found = self.columns(rest), list[Proposal]()
         less = base[:0] if own is None else own.index
         ranked = self.pool.ranked(whole, self.taken(rest), less)
-        ranked = [(c, x) for c, x in ranked if c.place not in self.refused]
+        ranked = [
+            (c, x) for c, x in ranked
+            if c.place not in self.refused and (at is None or {*c.place[1]} & {*at})
+        ]  # fmt: skip
         rough = {c.place[1][-1]: 0.0 for c, _ in ranked}
         for c, x in ranked:
             k = c.place[1][-1]

@@ -323,12 +323,11 @@ class Search(Proposals):
     def _exchange_law(self, law: Cause, rest: list[Cause]) -> bool:
         """Exchange an unknown law for several effects of the library at its joint."""
         now, causes, before = self.score(self.causes), list(rest), self.library_only
-        self.library_only, here = True, {*law.place[1]}
-        while True:
-            found = [x for x in self.proposals(causes) if here & {*x.place[1]}][:1]
-            if not found or found[0].worth <= _BETTER:
+        self.library_only = True
+        while best := self.proposals(causes, at=law.place[1])[:1]:
+            if best[0].worth <= _BETTER:
                 break
-            causes.append(found[0].make())
+            causes.append(best[0].make())
         self.library_only = before
         if self.score(causes) > now + _BETTER and self._is_cross_validated(causes):
             self.causes = causes
