@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -23,6 +23,7 @@ Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 LOWER_BAND = 0.5  # of the cut-off: above it, derivatives of positions are mostly noise
 _VISIBLE = 0.7  # of the cut-off: an oscillation above it is lost in noise
 _FRICTION_BAND = 25.0  # Hz; band in which a reversal of dry friction is visible
+_KEPT = 500  # columns of effects, which a search asks for again and again
 _SMALL = 0.01  # of the typical gain, step of a finite difference
 
 
@@ -59,6 +60,7 @@ class Gap:
     trajectory: NDArray[np.intp]
     notes: tuple[str, ...] = ()
     subtracted: Array | None = None
+    _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 
     @property
     def samplers(self) -> list[Sampler]:
@@ -127,6 +129,17 @@ class Gap:
             scale = self.scales[effect.joints[-1]]
             small = {g.name: _SMALL * g.scaled(scale).typical for g in effect.gains}
             effect = effect.at(small)
+        gains = effect.gains if effect.linearised or effect.steep else ()
+        values = tuple(effect.values[x.name] for x in (*gains, *effect.shapes))
+        key = type(effect), effect.joints, values, lower_band
+        if key not in self._kept:
+            if len(self._kept) == _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = self._columns(effect, lower_band)
+        return self._kept[key]
+
+    def _columns(self, effect: Effect, lower_band: bool | None) -> Columns:
+        """See :meth:`columns`."""
         gains = effect.gain_values
         if lower_band is None:
             lower_band = effect.differentiates or self.is_above_band(effect)
