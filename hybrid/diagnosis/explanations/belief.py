@@ -89,11 +89,20 @@ def beliefs(search: Search) -> list[Belief]:
         worth = now - search.score(rest)
         options: dict[Place, Proposal] = {}
         for x in search.proposals(search.causes, own=cause):
-            options.setdefault(x.place, x)
+            if not _independent(search, cause, x):
+                options.setdefault(x.place, x)
         twins = {place for place, x in options.items() if _twin(search, cause, x)}
         limit, least = _limit(search, cause, rest), search.prior.alternative
         found.append(Belief.of(cause, worth, options, twins, least, limit))
     return found
+
+
+def _independent(search: Search, cause: Cause, other: Proposal) -> bool:
+    """Whether a proposal at other joints is as probable beside a cause as without it."""
+    if other.worth <= 0.0 or {*cause.place[1]} & {*other.place[1]}:
+        return False
+    both = search.score([*search.causes, other.make()])
+    return both > search.score(search.causes)
 
 
 def _twin(search: Search, cause: Cause, other: Proposal) -> bool:

@@ -145,7 +145,9 @@ class Search(Proposals):
             self._reset_file_error()  # simpler causes may have taken the place of some
             return
         self.causes, self.library_only = self.known, True
-        self._certain, self.refused = self.known, frozenset()
+        while (gains := self.unseen_gain(self.causes)) and min(gains.values()) <= 0:
+            self.causes.remove(min(gains, key=gains.__getitem__))
+        self._certain, self.refused = list(self.causes), frozenset()
         usual = self._with_usual(self.causes)
         self.causes = max(self.causes, usual, key=self.score)
         self._remove()
