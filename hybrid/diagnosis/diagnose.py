@@ -44,7 +44,6 @@ from hybrid.signals import Motion
 from hybrid.threads import one_thread
 
 _EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
-_PROBABLE = 0.5  # probability of a cause that is named
 _MISSED = 0.05  # share of all squares above noise, of a joint without a cause
 _UNTESTED = (
     "{} acts only on the training samples: its shrinkage is measured on them, and not "
@@ -240,8 +239,7 @@ def _drop_improbable(
         The ids of each cause's alternatives at its joint, its own first; and the
         alternatives themselves, with the most probable one at another joint.
     """
-    beliefs = [b for b in search.beliefs if b.probability > _PROBABLE]
-    beliefs = [b for b in beliefs if b.worth > unknown_worth(search, b.cause)]
+    beliefs = [b for b in search.beliefs if b.worth > unknown_worth(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
     kinds, alike, names = {}, {}, search.gap.robot.joints

@@ -26,6 +26,8 @@ class Prior:
             ripples at a joint.
         slow_share: Share of a residual's squares by which the lower half of its band
             may exceed the upper half in noise.
+        probable: Probability of a known effect in the place of a cause, above which the
+            cause is named.
         alternative: Least probability of an effect that may take another's place.
     """
 
@@ -41,4 +43,5 @@ class Prior:
     refined_share: float = 0.5
     most_repeated: int = 3
     slow_share: float = 0.33
+    probable: float = 0.5
     alternative: float = 0.01

@@ -98,7 +98,7 @@ def beliefs(search: Search) -> list[Belief]:
 
 
 def _independent(search: Search, cause: Cause, other: Proposal) -> bool:
-    """Whether a proposal at other joints is as probable beside a cause as without it."""
+    """Whether a proposal at other joints raises the score beside a cause."""
     if other.worth <= 0.0 or {*cause.place[1]} & {*other.place[1]}:
         return False
     both = search.score([*search.causes, other.make()])

@@ -101,7 +101,9 @@ class Search(Proposals):
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._restart()
         self.beliefs = beliefs(self)
-        if self._simplify() | self._replace_limits():
+        if self._simplify():
+            self.beliefs = beliefs(self)
+        while self._replace_improbable():
             self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
@@ -346,23 +348,23 @@ class Search(Proposals):
                 self.causes[self.causes.index(belief.cause)] = simple.make()
         return self.causes != before
 
-    def _replace_limits(self) -> bool:
-        """Replace effects at the limit of their law by unknown laws; whether there are.
+    def _replace_improbable(self) -> bool:
+        """Replace the least probable effect by an unknown law; whether there is one.
 
-        At its limit a law is another one. If the library had that one, it would have
-        been exchanged.
+        An effect at the limit of its law is improbable too: there it is another law,
+        for which it would have been exchanged if the library had that one.
         """
-        limits = [
-            b.cause for b in self.beliefs
-            if b.limit is not None and b.cause in self.causes
-        ]  # fmt: skip
-        for cause in limits:
-            self.causes = [c for c in self.causes if c is not cause]
-            laws = self.laws.open(self.causes)
-            laws = [x for x in laws if x.place[1][0] in cause.place[1]]
-            if laws:
-                base = self.columns(self.causes)
-                law = self.best_law(laws, base, base, base[:0], {})
-                self.causes.append(law.make())
-            self._remove()
-        return bool(limits)
+        least = self.prior.probable
+        at = [b for b in self.beliefs if b.limit is not None or b.probability <= least]
+        if not at:
+            return False
+        cause = min(at, key=lambda b: b.probability).cause
+        self.causes = [c for c in self.causes if c is not cause]
+        laws = self.laws.open(self.causes)
+        laws = [x for x in laws if x.place[1][0] in cause.place[1]]
+        if laws:
+            base = self.columns(self.causes)
+            law = self.best_law(laws, base, base, base[:0], {})
+            self.causes.append(law.make())
+        self._remove()
+        return True
