@@ -153,6 +153,23 @@ def test_first_order_columns_are_slopes_of_the_simulated_torque():
     np.testing.assert_allclose(first, exact, atol=2e-2 * np.abs(exact).max())
 
 
+def test_columns_that_are_asked_for_again_are_those_of_the_same_effect():
+    """Those of a linear law for all its gains, others for theirs alone."""
+    gap, fresh = (measure_gap(pendulum(), swings(), cutoff=CUTOFF) for _ in range(2))
+    effects = [
+        Coulomb((0,), {"level": 1.0}),
+        Coulomb((0,), {"level": 2.0}),
+        EncoderOffset((0,)),
+        EncoderOffset((0,), {"offset": 0.1}),
+    ]
+    kept = [gap.columns(e) for e in effects]
+    again = [gap.columns(e) for e in effects]
+    assert all(x is y for x, y in zip(kept, again, strict=True))
+    assert kept[0] is kept[1] and kept[2] is not kept[3]
+    for e, x in zip(reversed(effects), reversed(kept), strict=True):
+        np.testing.assert_array_equal(x[0], fresh.columns(e)[0])
+
+
 # --- faults ---------------------------------------------------------------------------
 
 

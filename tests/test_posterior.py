@@ -9,6 +9,7 @@ from pendulum import NOISE, gap_of, pendulum, swings, with_torque
 
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import price
+from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.explanation import explain, shares
 from hybrid.diagnosis.explanations.refit import (
     _profile_range,
@@ -541,3 +542,43 @@ def test_what_is_too_improbable_to_name_still_acts_in_the_simulator():
     at.causes = [c for c in at.causes if c.place[0] == "coulomb"]
     at.substitute_unknown_laws()
     assert places(at) == {c.place for c in every}
+
+
+def speed_law(at):
+    (law,) = (x for x in at.laws.all if x.place == ("speed", (0,)))
+    return at.laws.widened(at.columns([]), law)
+
+
+def test_an_unknown_law_gives_way_to_several_effects_in_its_place():
+    at = search(RUBS, DRAGS)
+    at.causes = [speed_law(at)]
+    at._improve()
+    assert places(at) == {("coulomb", (0,)), ("viscous", (0,))}
+
+
+def test_effects_in_place_of_unknown_laws_leave_named_causes_alone():
+    """Though the better law is among them."""
+    at = search(RUBS, DRAGS, library=("presliding", *FEW))
+    named = cause(at, Presliding((0,), {"level": 1.0, "distance": 0.002}))
+    at.causes, at.whole = [named], [named, speed_law(at)]
+    at.substitute_unknown_laws()
+    assert named in at.causes and ("viscous", (0,)) in places(at)
+
+
+def test_an_improbable_effect_gives_way_to_an_unknown_law():
+    at = search(RUBS, DRAGS)
+    at.causes = causes = [cause(at, RUBS), cause(at, DRAGS)]
+    at.beliefs = [Belief(causes[0], 9.0, (), 0.9), Belief(causes[1], 9.0, (), 0.2)]
+    assert at._replace_improbable()
+    (law,) = (c for c in at.causes if c.candidate is None)
+    assert law.place[1] == (0,) and causes[1] not in at.causes
+    at.beliefs = at.beliefs[:1]
+    assert not at._replace_improbable()
+
+
+def test_a_cause_at_another_joint_that_is_there_as_well_is_no_alternative():
+    at = search(*BOTH, size=2)
+    at.causes = [cause(at, RUBS)]
+    (found,) = beliefs(at)
+    assert all(x.place[1] == (0,) for x, _ in found.alternatives)
+    assert found.probability > 0.9
