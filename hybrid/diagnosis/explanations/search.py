@@ -20,20 +20,18 @@ from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.proposals import Proposals
+from hybrid.diagnosis.explanations.moves import LEAST_GAIN, Moves
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.progress import Progress, silent
 
 _ROUNDS = 4  # of additions and exchanges
 _FEW = 3  # causes; an explanation with more is compared with the usual effects
-_BETTER = 0.5  # nat, least improvement
 
 
-class Search(Proposals):
+class Search(Moves):
     """Causes of a gap, added, exchanged and removed until nothing is gained.
 
     Attributes:
-        causes: The present explanation.
         beliefs: Probabilities of its known causes, once it has run.
         whole: The final explanation with its unknown laws, once it has run.
     """
@@ -45,13 +43,10 @@ class Search(Proposals):
         without: Sequence[str] = (),
     ) -> None:
         super().__init__(gap, learn, without)
-        self.causes: list[Cause] = []
         self.beliefs: list[Belief] = []
         self.whole: list[Cause] = []
-        self._certain: list[Cause] = []  # causes that stay
         self._checked: dict[Cause, frozenset[object]] = {}
         self._file_errors = self.prior.file_errors  # that are tried
-        self._progress: Progress = silent
 
     @property
     def known(self) -> list[Cause]:
@@ -186,10 +181,6 @@ class Search(Proposals):
             if not (changed or self._fit_file_error() or self._exchange_file_error()):
                 break
 
-    def _doubtful(self) -> list[Cause]:
-        """Causes that may be exchanged or removed."""
-        return [c for c in self.causes if c not in self._certain]
-
     def _neighbours(self, cause: Cause) -> frozenset[object]:
         """What an exchange of a cause depends on, above all causes at its joints."""
         own = set(cause.place[1])
@@ -209,7 +200,7 @@ class Search(Proposals):
             return self.held_out_loss(self.causes)
 
         now, best = self.file_error, max(self._file_errors, key=score)
-        better = score(best) > score(now) + _BETTER
+        better = score(best) > score(now) + LEAST_GAIN
         better = better and bool(np.all(loss(best) < loss(now)))
         self.evidence.scale_prior(self.numbers, now)
         if better:
@@ -227,7 +218,7 @@ class Search(Proposals):
         for found in self.proposals(self.causes)[:1]:
             causes = [*self.causes, found.make()]
             worth = self.score(causes) - self.file_error_odds(typical) - now
-            if worth > _BETTER and np.all(self.held_out_loss(causes) < loss):
+            if worth > LEAST_GAIN and np.all(self.held_out_loss(causes) < loss):
                 self.causes = causes
                 self.set_file_error(typical)
                 return True
@@ -254,96 +245,11 @@ class Search(Proposals):
             self.set_file_error(typical)
         return not helps
 
-    def _add(self) -> bool:
-        """Add the best proposal; return whether the score has risen."""
-        base = self.columns(self.causes)
-        self.pool.add_ripples(base)
-        self.pool.add_contacts(base)
-        now = self.score(self.causes)
-        for found in self.proposals(self.causes):
-            if found.worth <= _BETTER:
-                break
-            causes = [*self.causes, found.make()]
-            if self.score(causes) > now + _BETTER and self._is_cross_validated(causes):
-                self.causes = causes
-                kind, joints = found.place
-                joint = self.gap.robot.joints[joints[-1]]
-                self._progress(f"cause {len(causes)}: {kind} at {joint}")
-                self._remove()
-                return self.score(self.causes) > now + _BETTER
-        return False
-
-    def _is_cross_validated(self, causes: Sequence[Cause]) -> bool:
-        """Whether some causes have a smaller held-out loss than the present ones."""
-        now, then = map(self.held_out_loss, (self.causes, causes))
-        return bool(np.all(then < now))
-
-    def _remove(self) -> None:
-        """Remove causes whose evidence is below their odds and errors of other laws."""
-        while doubtful := self._doubtful():
-            now = self.score(self.causes)
-            rest = [[x for x in self.causes if x is not c] for c in doubtful]
-            pairs = zip(doubtful, rest, strict=True)
-            worth = now - np.array([self.score(x) for x in rest])
-            spare = worth - np.array([self._rough_errors(x, c) for c, x in pairs])
-            weakest = int(np.argmin(spare))
-            if spare[weakest] >= 0.0:
-                return
-            self.causes = rest[weakest]
-
-    def _rough_errors(self, causes: Sequence[Cause], other: Cause) -> float:
-        """Evidence for a cause that may come from errors of rough laws, [nat].
-
-        Those of an unknown law count against a known cause only if the law is rougher.
-        """
-        known = other.candidate is not None
-        least = [other.rough if known and not c.candidate else 0.0 for c in causes]
-        rough = [c for c, x in zip(causes, least, strict=True) if c.rough > x]
-        if not rough:
-            return 0.0
-        whole = self.score(causes)
-        less = [self.score([x for x in causes if x is not c]) for c in rough]
-        pairs = zip(rough, less, strict=True)
-        return max(c.rough**2 * (whole - x) for c, x in pairs)
-
-    def _exchange(self, cause: Cause) -> bool:
-        """Exchange a cause for the best one in its place, or remove it."""
-        now = self.score(self.causes)
-        rest = [c for c in self.causes if c is not cause]
-        alone = self.score(rest)
-        for found in self.proposals(self.causes, own=cause)[:2]:
-            if alone + found.worth > now + _BETTER:
-                causes = [*rest, found.make()]
-                better = self.score(causes) > now + _BETTER
-                if better and self._is_cross_validated(causes):
-                    self.causes = causes
-                    self._remove()
-                    return True
-        if alone > now:
-            self.causes = rest
-            return True
-        return cause.candidate is None and self._exchange_law(cause, rest)
-
-    def _exchange_law(self, law: Cause, rest: list[Cause]) -> bool:
-        """Exchange an unknown law for several effects of the library at its joint."""
-        now, causes, before = self.score(self.causes), list(rest), self.library_only
-        self.library_only = True
-        while best := self.proposals(causes, at=law.place[1])[:1]:
-            if best[0].worth <= _BETTER:
-                break
-            causes.append(best[0].make())
-        self.library_only = before
-        if self.score(causes) > now + _BETTER and self._is_cross_validated(causes):
-            self.causes = causes
-            self._remove()
-            return True
-        return False
-
     def _simplify(self) -> bool:
         """Exchange causes for simpler ones that are as probable; whether there are."""
         before = list(self.causes)
         for belief in self.beliefs:
-            simple = belief.simplest(_BETTER)
+            simple = belief.simplest(LEAST_GAIN)
             if simple is not None:
                 self.causes[self.causes.index(belief.cause)] = simple.make()
         return self.causes != before

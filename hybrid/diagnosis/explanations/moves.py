@@ -1,0 +1,124 @@
+"""Single steps of a search: a cause is added, exchanged or removed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.diagnosis.explanations.cause import Cause
+from hybrid.diagnosis.explanations.proposals import Proposals
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.progress import Progress, silent
+
+LEAST_GAIN = 0.5  # nat, least improvement of the score by a step
+
+
+class Moves(Proposals):
+    """An explanation that changes step by step.
+
+    Attributes:
+        causes: The present explanation.
+    """
+
+    def __init__(
+        self,
+        gap: Gap,
+        learn: NDArray[np.bool_] | None = None,
+        without: Sequence[str] = (),
+    ) -> None:
+        super().__init__(gap, learn, without)
+        self.causes: list[Cause] = []
+        self._certain: list[Cause] = []  # causes that stay
+        self._progress: Progress = silent
+
+    def _doubtful(self) -> list[Cause]:
+        """Causes that may be exchanged or removed."""
+        return [c for c in self.causes if c not in self._certain]
+
+    def _take(self, causes: list[Cause]) -> bool:
+        """Take causes instead of the present ones if they explain the gap better.
+
+        Both the score and the held-out loss have to be better. What the others make
+        superfluous is removed.
+        """
+        better = self.score(causes) > self.score(self.causes) + LEAST_GAIN
+        if not (better and self._is_cross_validated(causes)):
+            return False
+        self.causes = causes
+        self._remove()
+        return True
+
+    def _is_cross_validated(self, causes: Sequence[Cause]) -> bool:
+        """Whether some causes have a smaller held-out loss than the present ones."""
+        now, then = map(self.held_out_loss, (self.causes, causes))
+        return bool(np.all(then < now))
+
+    def _add(self) -> bool:
+        """Add the best proposal; return whether the score has risen."""
+        base = self.columns(self.causes)
+        self.pool.add_ripples(base)
+        self.pool.add_contacts(base)
+        now = self.score(self.causes)
+        for found in self.proposals(self.causes):
+            if found.worth <= LEAST_GAIN:
+                break
+            if self._take([*self.causes, found.make()]):
+                kind, joints = found.place
+                joint = self.gap.robot.joints[joints[-1]]
+                self._progress(f"cause {len(self.causes)}: {kind} at {joint}")
+                return self.score(self.causes) > now + LEAST_GAIN
+        return False
+
+    def _remove(self) -> None:
+        """Remove causes whose evidence is below their odds and errors of other laws."""
+        while doubtful := self._doubtful():
+            now = self.score(self.causes)
+            rest = [[x for x in self.causes if x is not c] for c in doubtful]
+            pairs = zip(doubtful, rest, strict=True)
+            worth = now - np.array([self.score(x) for x in rest])
+            spare = worth - np.array([self._rough_errors(x, c) for c, x in pairs])
+            weakest = int(np.argmin(spare))
+            if spare[weakest] >= 0.0:
+                return
+            self.causes = rest[weakest]
+
+    def _rough_errors(self, causes: Sequence[Cause], other: Cause) -> float:
+        """Evidence for a cause that may come from errors of rough laws, [nat].
+
+        Those of an unknown law count against a known cause only if the law is rougher.
+        """
+        known = other.candidate is not None
+        least = [other.rough if known and not c.candidate else 0.0 for c in causes]
+        rough = [c for c, x in zip(causes, least, strict=True) if c.rough > x]
+        if not rough:
+            return 0.0
+        whole = self.score(causes)
+        less = [self.score([x for x in causes if x is not c]) for c in rough]
+        pairs = zip(rough, less, strict=True)
+        return max(c.rough**2 * (whole - x) for c, x in pairs)
+
+    def _exchange(self, cause: Cause) -> bool:
+        """Exchange a cause for the best one in its place, or remove it."""
+        rest = [c for c in self.causes if c is not cause]
+        now, alone = self.score(self.causes), self.score(rest)
+        for found in self.proposals(self.causes, own=cause)[:2]:
+            likely = alone + found.worth > now + LEAST_GAIN
+            if likely and self._take([*rest, found.make()]):
+                return True
+        if alone > now:
+            self.causes = rest
+            return True
+        return cause.candidate is None and self._exchange_law(cause, rest)
+
+    def _exchange_law(self, law: Cause, rest: list[Cause]) -> bool:
+        """Exchange an unknown law for several effects of the library at its joint."""
+        causes, before = list(rest), self.library_only
+        self.library_only = True
+        while best := self.proposals(causes, at=law.place[1])[:1]:
+            if best[0].worth <= LEAST_GAIN:
+                break
+            causes.append(best[0].make())
+        self.library_only = before
+        return self._take(causes)
