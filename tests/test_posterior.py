@@ -582,3 +582,15 @@ def test_a_cause_at_another_joint_that_is_there_as_well_is_no_alternative():
     (found,) = beliefs(at)
     assert all(x.place[1] == (0,) for x, _ in found.alternatives)
     assert found.probability > 0.9
+
+
+def test_an_unknown_law_that_takes_a_place_leaves_causes_at_other_joints_alone():
+    """And gives way itself to the effects that explain as much."""
+    at = search(*BOTH, DRAGS, size=2)
+    drags, rubs, other = (cause(at, e) for e in (DRAGS, *BOTH))
+    tiny = cause(at, Viscous((1,), {"coefficient": 0.01}))
+    at.causes = [drags, rubs, other, tiny]
+    at.beliefs = [Belief(rubs, 9.0, (), 0.1)]
+    assert at._replace_improbable()
+    assert rubs not in at.causes and tiny in at.causes and other in at.causes
+    assert ("coulomb", (0,)) in at.refused

@@ -265,12 +265,17 @@ class Search(Moves):
         if not at:
             return False
         cause = min(at, key=lambda b: b.probability).cause
+        here = {*cause.place[1]}
+        self.refused |= {cause.place}
         self.causes = [c for c in self.causes if c is not cause]
-        laws = self.laws.open(self.causes)
-        laws = [x for x in laws if x.place[1][0] in cause.place[1]]
+        self._certain = [c for c in self.causes if not here & {*c.place[1]}]
+        laws = [x for x in self.laws.open(self.causes) if here & {*x.place[1]}]
         if laws:
             base = self.columns(self.causes)
-            law = self.best_law(laws, base, base, base[:0], {})
-            self.causes.append(law.make())
-        self._remove()
+            law = self.best_law(laws, base, base, base[:0], {}).make()
+            self.causes.append(law)
+            self._remove()
+            if law in self.causes:
+                self._exchange(law)
+        self._certain = []
         return True
