@@ -28,9 +28,10 @@ def loaded(robot, *, seed=0, **options):
 
 def crossed(problem, chosen, *, cutoff=np.inf, standing=EVERYTHING, **options):
     n = problem.chain.size
-    return accumulate(
-        problem, chosen, cutoff=cutoff, standing=np.full(n, standing), **options
+    sums = accumulate(
+        problem.rows, chosen, cutoff=cutoff, standing=np.full(n, standing), **options
     )
+    return sums.of(problem)
 
 
 def dense(problem, chosen, weight, *, cutoff=np.inf, standing=EVERYTHING):
@@ -86,9 +87,10 @@ def test_so_they_are_for_random_chains_and_weights(seed):
 def test_rows_are_the_same_where_those_of_the_links_are_known_already():
     robot = arm("coman_like")
     problem, (motion, *_) = linear_problem(robot), loaded(robot)
-    links = problem.link_columns(motion)
-    assert links.shape == (robot.size, len(problem.links), len(motion.t))
-    np.testing.assert_array_equal(problem.rows(motion, links), problem.rows(motion))
+    links = problem.rows.link_columns(motion)
+    assert links.shape == (robot.size, len(problem.rigid), len(motion.t))
+    found, expected = problem.rows.along(motion, links), problem.rows.along(motion)
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_many_sums_have_their_normal_equations_each():

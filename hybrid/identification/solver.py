@@ -21,6 +21,7 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.identification.data import FOLDS, Data
 from hybrid.identification.preparation import summed_squares
 from hybrid.identification.solution import Solution, with_zero_gains
+from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     ESTIMATORS,
     Estimator,
@@ -55,8 +56,10 @@ class Solver:
         The better of the first two at each joint becomes the reference of
         :meth:`cost`.
         """
-        data = self._data
-        found = {x: self._solution(data, problem, x, bounded=False) for x in ESTIMATORS}
+        data, products = self._data, self._data.products(problem)
+        found = {
+            x: self._solution(data, products, x, bounded=False) for x in ESTIMATORS
+        }
         ls, wls = (found[x].squares for x in ESTIMATORS[:2])
         self.reference = np.where(self.total(ls) < self.total(wls), ls, wls)
         return found
@@ -112,41 +115,47 @@ class Solver:
             inertial=start.problem.rigid_inertial(start.weighted.theta),
             without=without,
         )
-        return self.best(problem, known)
+        return self.best(problem, known, start.problem.effects)
 
-    def best(self, problem: Problem, known: Sequence[Array] | None = None) -> Solution:
+    def best(
+        self,
+        problem: Problem,
+        known: Sequence[Array] | None = None,
+        others: Sequence[Effect] = (),
+    ) -> Solution:
         """The solution of least cost over estimators and strengths of the prior.
 
         Args:
             problem: The unknowns.
             known: Torque to subtract first, shape (N, n) for each motion, [N·m].
+            others: Effects that a later problem may have.
         """
         data = self._data.minus(known)
+        products = data.products(problem, others)
         file = file_prior(problem, self._robot, self._data.scales)
         strengths = _STRENGTHS if file is not None else _STRENGTHS[:1]
         priors = [file.times(x) if file and x else None for x in strengths]
         # First choose the strength with weighted least squares, then the estimator.
         middle = self._estimators[min(1, len(self._estimators) - 1)]
         best = min(
-            (self._solution(data, problem, middle, x) for x in priors),
+            (self._solution(data, products, middle, x) for x in priors),
             key=lambda x: self.cost(x.squares),
         )
-        others = [x for x in self._estimators if x != middle]
+        last = [x for x in self._estimators if x != middle]
         return min(
-            [best, *(self._solution(data, problem, x, best.prior) for x in others)],
+            [best, *(self._solution(data, products, x, best.prior) for x in last)],
             key=lambda x: self.cost(x.squares),
         )
 
     def _solution(
         self,
         data: Data,
-        problem: Problem,
+        products: CrossProducts,
         estimator: Estimator,
         prior: Prior | None = None,
         *,
         bounded: bool = True,
     ) -> Solution:
-        products = data.products(problem)
         found = solve_weighted(
             products, estimator, bounded=bounded, robust=self._robust, prior=prior
         )

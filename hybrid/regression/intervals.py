@@ -197,7 +197,7 @@ def _block_gradients(products: CrossProducts, theta: Array, weight: Array) -> Ar
     moments = products.blocks @ (C @ weight)  # (B, P, n)
     found = np.zeros((len(moments), problem.size))
     for i, support in enumerate(problem.support):
-        start = problem.offsets[i]
+        start = products.rows.offsets[i]
         found[:, support] += moments[:, start : start + len(support), i]
     return found
 
