@@ -51,7 +51,7 @@ class Data:
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
-    _cache: dict[tuple[Any, ...], Array] = field(
+    _cache: dict[tuple[Any, ...], Any] = field(
         default_factory=dict, repr=False, compare=False
     )
     _bodies: dict[tuple[int, int, int], RigidBody] = field(
@@ -131,8 +131,8 @@ class Data:
         return sampled_chunks(full, total, sampler, filtered)
 
     def cached(
-        self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Array]
-    ) -> Array:
+        self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Any]
+    ) -> Any:
         """A value that depends on the motion but not on its torque, computed once."""
         key = *key, id(motion.q)  # the array lives as long as these data
         found = self._cache[key] if key in self._cache else make()
@@ -188,24 +188,33 @@ class Data:
             last += 1 + int(label.max())
         return found
 
-    @property
+    @cached_property
     def scales(self) -> list[Scale]:
         """Highest torque and speed of every joint in the data."""
         each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
         torque = np.max(each, axis=0)
-        pairs = zip(torque, fastest(self.motions), strict=True)
+        pairs = zip(torque, self.visited["v_max"], strict=True)
         return [Scale(max(float(x), 1e-12), max(float(y), 1e-12)) for x, y in pairs]
 
-    @property
+    @cached_property
+    def visited(self) -> dict[str, Array]:
+        """Lowest and highest position and highest speed, each of shape (n,)."""
+        return visited(self.motions)
+
+    @cached_property
     def moving(self) -> Array:
         """Number of samples at which each joint moves, at least 1, shape (n,)."""
         each = [self.moves(m).sum(axis=0) for m in self.motions]
         return np.asarray(np.maximum(np.sum(each, axis=0), 1.0))
 
     def moves(self, motion: Motion) -> NDArray[np.bool_]:
-        """Samples that are not masked and at which each joint moves, shape (N, n)."""
-        moves = np.abs(motion.v) > self.standing
-        return np.asarray(moves & motion.mask[:, None])
+        """Unmasked samples of one of the motions at which each joint moves, (N, n)."""
+        found: NDArray[np.bool_] = self.cached(
+            ("moves",),
+            motion,
+            lambda: (np.abs(motion.v) > self.standing) & motion.mask[:, None],
+        )
+        return found
 
     def decimated(self, residual: Sequence[Array]) -> Residual:
         """A residual filtered and decimated, all motions concatenated.

@@ -104,7 +104,7 @@ def fit_friction(
     Returns:
         Threshold friction, and load friction if it lowers the held-out error.
     """
-    grid = _Grid(max(float(np.abs(m.v[m.mask, joint]).max()) for m in data.motions))
+    grid = _Grid(float(data.visited["v_max"][joint]))
     products = grid.maps[:, None] @ _products(data, joint, rest, load, grid)
     products = products @ grid.maps.transpose(0, 2, 1)[:, None]
     bare = np.delete(np.arange(_COLUMNS + 2), _COLUMNS)

@@ -35,6 +35,7 @@ from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
 from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.regression.intervals import condition_number
 from hybrid.regression.least_squares import Estimator, without_folds
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
@@ -76,6 +77,7 @@ class Identification:
 
     best: Solution
     squares: Array
+    condition: float
 
     def rigid_stage(self) -> dict[str, Array]:
         """Fit the rigid body with linear friction.
@@ -91,7 +93,9 @@ class Identification:
         self.simpler = self.solver.plain(problem)
         self._adopt(self.solver.best(problem))
         last = self.simpler[self.estimator]
-        poor = poor_excitation(last.products, last.estimate)
+        A, _ = last.products.normal(last.weighted.weight)
+        self.condition = condition_number(A)
+        poor = poor_excitation(problem, A)
         if poor:
             self.warnings.append(poor)
         found = {x.upper(): s.squares for x, s in self.simpler.items()}
@@ -234,7 +238,7 @@ class Identification:
             units=tuple(problem.base.units[k] for k in problem.base.kept),
             estimate=estimate,
             held_out=held_out,
-            condition=self.simpler[self.estimator].estimate.condition,
+            condition=self.condition,
             converged=converged,
             unidentifiable=unidentifiable(problem, estimate),
             left_out=tuple(self.left_out),

@@ -153,7 +153,7 @@ def _pieces(data: Data, solution: Solution, waves: Waves) -> list[list[_Piece]]:
         whole = np.concatenate([D for _, D, _ in chunks], axis=1)
         short, few = part(motion, slice(0, total)), slice(0, total, sampler.factor)
         block = ((motion.t[few] - motion.t[0]) // _BLOCK_SECONDS).astype(int)
-        moves = data.moves(short)[:: sampler.factor]
+        moves = data.moves(motion)[few]
         for joint, own in enumerate(found):
             use = moves[:, joint]
             first, stop = problem.rows.offsets[joint : joint + 2]

@@ -11,7 +11,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.effects import Effect
-from hybrid.identification.data import Data, visited
+from hybrid.identification.data import Data
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.intervals import Estimate, with_uncertainty
@@ -106,7 +106,7 @@ class Solution:
             remainder,
             self.data.cutoff,
             self.data.standing,
-            visited(self.data.motions),
+            self.data.visited,
             self.inertial,
         )
 

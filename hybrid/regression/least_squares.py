@@ -153,12 +153,17 @@ def unit_columns(A: Array) -> tuple[Array, Array]:
 
 
 def pseudo_solve(A: Array, b: Array) -> Array:
-    """Minimum-norm solution of normal equations in scaled columns, shape (p,)."""
+    """Minimum-norm solution of normal equations in scaled columns, the shape of b.
+
+    Args:
+        A: Normal matrix, shape (p, p).
+        b: Right sides, shape (p,) or (p, any number).
+    """
     scaled, size = unit_columns(A)
     factor, fails = dpotrf(scaled, lower=1)
     if not fails and np.diag(factor).min() > _FULL_RANK:
-        found, _ = dpotrs(factor, b / size, lower=1)
-        return np.asarray(found / size)
+        found, _ = dpotrs(factor, (b.T / size).T, lower=1)
+        return np.asarray((found.T / size).T)
     return np.asarray(pseudo_inverse(A) @ b)
 
 
