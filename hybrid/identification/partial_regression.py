@@ -184,9 +184,8 @@ class _Sums:
 
     @classmethod
     def of(cls, waves: Array, D: Array, y: Array, use: NDArray[np.bool_]) -> _Sums:
-        w, D, y = waves[:, :, use].astype(float), D[:, use], y[use]
-        flat = np.concatenate(w)
-        B = (flat @ D.T).reshape(*w.shape[:2], len(D))
+        w, D, y = waves[:, :, use], D[:, use], y[use]
+        B = (w.reshape(2 * len(w), len(y)) @ D.T).reshape(*w.shape[:2], len(D))
         G, c = w @ w.transpose(0, 2, 1), w @ y
         return cls(B, G, c, D @ D.T, D @ y, float(y @ y))
 

@@ -84,8 +84,8 @@ class Sums:
         Args:
             share: Weight of each block, shape (B,).
         """
-        parts = [self.fold == k for k in range(int(self.fold.max()) + 1)]
-        return np.array([np.tensordot(share[x], self.blocks[x], axes=1) for x in parts])
+        member = np.arange(self.fold.max() + 1)[:, None] == self.fold
+        return np.asarray(np.tensordot(member * share, self.blocks, axes=1))
 
     def weighted_total(self, share: Array) -> Array:
         """Sum over all blocks, each with a weight, shape (P, P).
