@@ -28,7 +28,6 @@ from hybrid.signals import (
     Sampler,
 )
 
-FOLDS = 4
 _FEWEST_BLOCKS = 48  # over which the gain of a term is averaged
 _CACHE_SIZE = 2**28  # bytes
 
@@ -183,10 +182,15 @@ class Data:
         found, last = [], 0
         for fold in self.folds:
             position = np.arange(len(fold)) * each // len(fold)
-            _, label = np.unique(position * FOLDS + fold, return_inverse=True)
+            _, label = np.unique(position * self.fold_count + fold, return_inverse=True)
             found.append(last + label)
             last += 1 + int(label.max())
         return found
+
+    @cached_property
+    def fold_count(self) -> int:
+        """Number of folds F."""
+        return 1 + max(int(fold.max()) for fold in self.folds)
 
     @cached_property
     def scales(self) -> list[Scale]:

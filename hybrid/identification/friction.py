@@ -23,7 +23,7 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identification.data import FOLDS, Data
+from hybrid.identification.data import Data
 from hybrid.regression.cross_products import sampled_chunks
 from hybrid.signals import Sampler
 
@@ -122,7 +122,7 @@ def _products(
     """Cross-products of [columns, load, rest] of each fold, shape (F, rows, rows)."""
     size = _maps().shape[-1]
     fastest = float(data.visited["v_max"][joint])
-    sums = np.zeros((FOLDS, size, size))
+    sums = np.zeros((data.fold_count, size, size))
     for motion, fold, *new in zip(data.motions, data.folds, load, rest, strict=True):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         moves = sampler.keep(data.moves(motion)[:, joint])

@@ -25,7 +25,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
 from hybrid.identification.consistency import physically_consistent
-from hybrid.identification.data import FOLDS, Data
+from hybrid.identification.data import Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import with_accepted
@@ -188,7 +188,7 @@ class Identification:
             products,
             weighted.weight,
             optimum=optimum,
-            folds=FOLDS,
+            folds=self.data.fold_count,
             share=weighted.share,
         )
         self.settled &= found.converged

@@ -20,7 +20,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
-from hybrid.identification.data import FOLDS, Data, fastest
+from hybrid.identification.data import Data, fastest
 from hybrid.inspect import check_recordings
 from hybrid.model.declared import declared_effects
 from hybrid.recording import Recording
@@ -36,6 +36,8 @@ from hybrid.signals import (
     speed_against_position,
 )
 
+_FOLDS = 8  # of cross-validation: seven eighths of a short log still show its motion
+_FEWEST_WHOLE = 4  # recordings from which each lies in one fold
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _WORKING_RATE = 12.5  # of the cut-off: sampling rate of the decimated motions
 _ALIAS_FREE = 5.0  # of the cut-off: torque below this is kept, above 6 is removed
@@ -114,7 +116,7 @@ def prepare(
     """Data of a fit, with cross-validation folds.
 
     Four or more recordings are assigned to folds as a whole; of fewer, each is cut into
-    quarters. Neighbouring samples are too similar to validate on, and a model must hold
+    eighths. Neighbouring samples are too similar to validate on, and a model must hold
     on motions that it has not seen.
 
     Args:
@@ -137,11 +139,11 @@ def prepare(
 def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]:
     found = []
     for r, motion in enumerate(motions):
-        if len(motions) >= FOLDS:
-            found.append(np.full(len(motion.t), r % FOLDS))
-        else:  # quarters of the moving samples, not of the standstill around them
+        if len(motions) >= _FEWEST_WHOLE:
+            found.append(np.full(len(motion.t), r % _FOLDS))
+        else:  # parts of the moving samples, not of the standstill around them
             moves = np.any(np.abs(motion.v) > standing, axis=1) & motion.mask
-            found.append(FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
+            found.append(_FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
     return found
 
 
@@ -204,13 +206,15 @@ def prepare_at_best_cutoff(
     shortest = min(float(m.t[-1] - m.t[0]) for m in best.motions)
     for halvings in range(_MOST_HALVINGS + 1):
         cutoff = highest / 2**halvings
-        if cutoff * shortest < FEWEST_PERIODS * FOLDS:
+        if cutoff * shortest < FEWEST_PERIODS * data.fold_count:
             break
         if halvings:
             data = prepare(logs, cutoff, highest=highest, speeds=speeds)
         products = data.products(problem)
         found = solve_weighted(products, "wls", robust=robust)
-        theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)
+        theta = without_folds(
+            products, found.weight, folds=data.fold_count, share=found.share
+        )
         squares = summed_squares(products.held_out_squares(theta), robust)
         error = np.sqrt(squares / data.moving)
         level = float(np.log(np.maximum(error, 1e-300)).mean())

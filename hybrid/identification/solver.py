@@ -18,7 +18,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identification.data import FOLDS, Data
+from hybrid.identification.data import Data
 from hybrid.identification.preparation import summed_squares
 from hybrid.identification.solution import Solution, with_zero_gains
 from hybrid.regression.cross_products import CrossProducts
@@ -164,7 +164,7 @@ class Solver:
             found.weight,
             bounded=bounded,
             prior=prior,
-            folds=FOLDS,
+            folds=data.fold_count,
             share=found.share,
         )
         squares = products.held_out_squares(theta)
