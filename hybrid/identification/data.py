@@ -117,12 +117,14 @@ class Data:
         def filtered(here: slice, full: Array) -> Array:
             if rows.changes_signals:
                 return sampler(full, axis=1)
-            links, others = rows.link_rows, rows.other_rows
             known = self.cached(
                 ("filtered", here.start, here.stop),
                 motion,
-                lambda: sampler(full[links], axis=1),
+                lambda: np.concatenate(
+                    [sampler(full[x], axis=1) for x, _ in rows.parts]
+                ),
             )
+            links, others = (np.r_[x] for x in zip(*rows.parts, strict=True))
             out = np.empty((len(full), known.shape[1]))
             out[links], out[others] = known, sampler(full[others], axis=1)
             return out

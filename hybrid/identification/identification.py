@@ -127,13 +127,12 @@ class Identification:
             new = find_ripples(self.data, self.best, waves)
             # At all speeds of the log, or only at speeds whose ripple is below the
             # cut-off.
-            limits = (lambda x: x, partial(in_band, cutoff=self.data.cutoff))
+            limit = partial(in_band, cutoff=self.data.cutoff)
+            slow = {j: list(map(limit, x)) for j, x in new.items()}
+            slow = {j: x for j, x in slow.items() if x != new[j]}
             options = [
-                {
-                    j: [*self._replaceable(self.best, j), *map(limit, ripples)]
-                    for j, ripples in new.items()
-                }
-                for limit in limits
+                {j: [*self._replaceable(self.best, j), *x] for j, x in ripples.items()}
+                for ripples in (new, slow)
             ]
             found = self._accepted(self.best, options, tried=JUDGED)
             if found is self.best:
@@ -188,7 +187,6 @@ class Identification:
             products,
             weighted.weight,
             optimum=optimum,
-            folds=self.data.fold_count,
             share=weighted.share,
         )
         self.settled &= found.converged
@@ -306,9 +304,11 @@ class Identification:
         tried: int = 1,
     ) -> Solution:
         """The start with the terms that pass the gate, unless it is better without."""
+        offered = [e for at in options for effects in at.values() for e in effects]
 
         def fitted(at: Mapping[int, list[Effect]]) -> Solution:
-            return self.solver.with_effects(start, self._with_candidates(start, at))
+            effects = self._with_candidates(start, at)
+            return self.solver.with_effects(start, effects, others=offered)
 
         found = with_accepted(start, options, fitted, tried=tried)
         return min(start, found, key=lambda x: self.solver.cost(x.squares))

@@ -212,9 +212,7 @@ def prepare_at_best_cutoff(
             data = prepare(logs, cutoff, highest=highest, speeds=speeds)
         products = data.products(problem)
         found = solve_weighted(products, "wls", robust=robust)
-        theta = without_folds(
-            products, found.weight, folds=data.fold_count, share=found.share
-        )
+        theta = without_folds(products, found.weight, share=found.share)
         squares = summed_squares(products.held_out_squares(theta), robust)
         error = np.sqrt(squares / data.moving)
         level = float(np.log(np.maximum(error, 1e-300)).mean())

@@ -59,9 +59,11 @@ class Solution:
         includes the uncertainty of that choice.
         """
         whole = self.problem.complete()
-        complete = self.products if whole is self.problem else self.data.products(whole)
         found = with_uncertainty(
-            self.products, self.weighted, prior=self.prior, complete=complete
+            self.products,
+            self.weighted,
+            prior=self.prior,
+            complete=self.products.source.of(whole),
         )
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)

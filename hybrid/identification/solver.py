@@ -93,6 +93,7 @@ class Solver:
         start: Solution,
         effects: Sequence[Effect],
         known: Sequence[Array] | None = None,
+        others: Sequence[Effect] = (),
     ) -> Solution:
         """The best solution with other effects.
 
@@ -100,6 +101,7 @@ class Solver:
             start: Solution whose links give the transmitted torque.
             effects: Effects; their shapes are fixed.
             known: Torque to subtract first, shape (N, n) for each motion, [N·m].
+            others: Effects that a later call from this start may have.
         """
         # Gains that the friction fit has set to zero stay zero, because the columns of
         # falling and rising friction are collinear.
@@ -115,7 +117,8 @@ class Solver:
             inertial=start.problem.rigid_inertial(start.weighted.theta),
             without=without,
         )
-        return self.best(problem, known, start.problem.effects)
+        others = (*start.problem.effects, *with_zero_gains(others))
+        return self.best(problem, known, others)
 
     def best(
         self,
@@ -164,7 +167,6 @@ class Solver:
             found.weight,
             bounded=bounded,
             prior=prior,
-            folds=data.fold_count,
             share=found.share,
         )
         squares = products.held_out_squares(theta)

@@ -66,6 +66,7 @@ class Sums:
             self.fold,
             self.scores and self.scores.of(np.split(own, problem.rows.offsets[1:-1])),
             problem,
+            self,
         )
 
     @cached_property
@@ -84,7 +85,8 @@ class Sums:
         Args:
             share: Weight of each block, shape (B,).
         """
-        member = np.arange(self.fold.max() + 1)[:, None] == self.fold
+        last = max(x.fold.max() for x in (self, self.scores) if x)
+        member = np.arange(last + 1)[:, None] == self.fold
         return np.asarray(np.tensordot(member * share, self.blocks, axes=1))
 
     def weighted_total(self, share: Array) -> Array:
@@ -104,9 +106,11 @@ class CrossProducts(Sums):
 
     Attributes:
         problem: The unknowns.
+        source: Sums of these and other rows.
     """
 
     problem: Problem
+    source: Sums
 
     @property
     def samples(self) -> int:

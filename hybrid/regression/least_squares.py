@@ -93,7 +93,6 @@ def without_folds(
     bounded: bool = False,
     prior: Prior | None = None,
     optimum: Callable[[Array, Array], Array] | None = None,
-    folds: int = 0,
     share: Array | None = None,
 ) -> Array:
     """Solutions that each leave one fold out, at given weights, shape (F, p).
@@ -105,24 +104,18 @@ def without_folds(
         prior: Prior of the unknowns.
         optimum: Function from a normal matrix and its right side to the unknowns, shape
             (p,); plain or bounded least squares by default.
-        folds: Number of folds, if the last ones may have no sample.
         share: Weight of each block, from 0 to 1, shape (B,); all 1 by default.
     """
     if optimum is None:
         optimum = partial(_optimum, lower=products.problem.lower if bounded else None)
-    found = []
     if share is None or share.min() == 1.0:
-        sums, total = products.folds, products.total
+        sums = products.folds
     else:
         sums = products.weighted(share)
-        total = sums.sum(axis=0)
-    for fold in range(folds or len(sums)):
-        left_out = sums[fold] if fold < len(sums) else 0.0
-        A, b = products.normal(weight, total - left_out)
-        if prior is not None:
-            A, b = A + prior.precision, b + prior.pull
-        found.append(optimum(A, b))
-    return np.array(found)
+    A, b = products.normal(weight, sums.sum(axis=0) - sums)
+    if prior is not None:
+        A, b = A + prior.precision, b + prior.pull
+    return np.array([optimum(*x) for x in zip(A, b, strict=True)])
 
 
 def _step(
@@ -139,10 +132,7 @@ def _step(
 
 
 def _optimum(A: Array, b: Array, lower: Array | None) -> Array:
-    theta = pseudo_solve(A, b)
-    if lower is not None and np.any(theta < lower):
-        theta = _bounded_solve(A, b, lower)
-    return theta
+    return pseudo_solve(A, b) if lower is None else _bounded_solve(A, b, lower)
 
 
 def unit_columns(A: Array) -> tuple[Array, Array]:
@@ -172,8 +162,10 @@ def _bounded_solve(A: Array, b: Array, lower: Array) -> Array:
 
     Source: Nocedal and Wright 2006, doi 10.1007/978-0-387-40065-5, section 16.5.
     """
-    held = np.zeros(len(b), dtype=bool)
-    theta = np.maximum(lower, 0.0)
+    optimum = pseudo_solve(A, b)
+    held, theta = optimum < lower, np.maximum(optimum, lower)
+    if not held.any():
+        return optimum
     for _ in range(_MOST_CHANGES * len(b)):
         free = ~held
         target = theta.copy()

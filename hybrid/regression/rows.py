@@ -41,18 +41,8 @@ class Rows:
         pairs = zip(self.links, self.gains, strict=True)
         return (0, *np.cumsum([len(x) + len(y) + 1 for x, y in pairs]).tolist())
 
-    @property
-    def link_rows(self) -> NDArray[np.intp]:
-        """Rows that hold link columns."""
-        return np.asarray(np.r_[tuple(mine for mine, _ in self._parts)])
-
-    @property
-    def other_rows(self) -> NDArray[np.intp]:
-        """Rows that hold effect columns or torque."""
-        return np.asarray(np.r_[tuple(others for _, others in self._parts)])
-
     @cached_property
-    def _parts(self) -> list[tuple[slice, slice]]:
+    def parts(self) -> list[tuple[slice, slice]]:
         """Rows of links, and of effects and torque, for each joint."""
         stops = [x + len(y) for x, y in zip(self.offsets, self.links, strict=False)]
         ends = zip(self.offsets, stops, self.offsets[1:], strict=False)
@@ -123,7 +113,7 @@ class Rows:
         out = np.empty((self.offsets[-1], len(motion.t)))
         links = self.link_columns(motion) if links is None else links
         columns = self._effect_columns(motion, body)
-        for i, (mine, others) in enumerate(self._parts):
+        for i, (mine, others) in enumerate(self.parts):
             used = np.searchsorted(self._used, self.links[i])
             # mode="raise" would copy these rows twice.
             np.take(links[i], used, axis=0, out=out[mine], mode="clip")
