@@ -53,13 +53,9 @@ class PartialRegression:
         variance = np.diag(solution.sigma)
         weight = np.diag(variance[joint] / np.maximum(variance, 1e-300))
         weight[joint, joint] = 0.0
-        A, b = [], []
-        for sums in products.folds:
-            A_k, b_k = products.normal(weight, sums)
-            A.append(A_k)
-            b.append(b_k - A_k @ theta)
+        A, b = products.normal(weight, products.folds)
         support = solution.problem.support[joint]
-        return cls((np.array(A), np.array(b)), support, rows[:-1], rows[-1])
+        return cls((A, b - A @ theta), support, rows[:-1], rows[-1])
 
     def with_wave(self, wave: Array) -> PartialRegression:
         """The same with one more pair of columns, shape (2, M), at its best gains."""

@@ -28,7 +28,8 @@ _ROUNDING = 1e-12  # variance that is rounding error, as a share of the torque's
 _TOLERANCE = 1e-6  # relative change of the unknowns at which the iteration ends
 _MOST_ITERATIONS = 60
 _FULL_RANK = 1e-5  # smallest diagonal of a Cholesky factor that proves full rank
-_MOST_CHANGES = 4  # of the active set, for each unknown
+_MOST_CHANGES = 4  # of the bounds that hold, for each unknown
+_PATIENCE = 3  # steps in which as many unknowns are on the wrong side
 OUTLYING = 3.0  # of the median misfit of a block: above it, a block counts less
 
 
@@ -158,38 +159,31 @@ def pseudo_solve(A: Array, b: Array) -> Array:
 
 
 def _bounded_solve(A: Array, b: Array, lower: Array) -> Array:
-    """Minimise ½ θᵀAθ − bᵀθ with lower bounds, by the active-set method.
+    """Minimise ½ θᵀAθ − bᵀθ with lower bounds, by block principal pivoting.
 
-    Source: Nocedal and Wright 2006, doi 10.1007/978-0-387-40065-5, section 16.5.
+    All unknowns on the wrong side change sides at once; only the last one does where
+    that has not made them fewer for some steps.
+
+    Source: Júdice and Pires 1994, doi 10.1016/0305-0548(94)90106-6.
     """
-    optimum = pseudo_solve(A, b)
-    held, theta = optimum < lower, np.maximum(optimum, lower)
-    if not held.any():
-        return optimum
+    held = np.zeros(len(b), dtype=bool)
+    least = _TOLERANCE * np.abs(b)
+    fewest, patience = len(b) + 1, _PATIENCE
     for _ in range(_MOST_CHANGES * len(b)):
-        free = ~held
-        target = theta.copy()
+        free, theta = ~held, np.where(held, lower, 0.0)
         if free.any():
-            target[free] = pseudo_solve(
-                A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ theta[held]
-            )
-        step = target - theta
-        below = free & (target < lower)
-        if below.any():  # go to the first bound on the way, and hold that unknown
-            share = np.ones_like(theta)
-            share[below] = (lower - theta)[below] / step[below]
-            first = int(np.argmin(share))
-            theta = theta + share[first] * step
-            theta[first], held[first] = lower[first], True
-            continue
-        theta = target
-        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        multiplier = np.where(held, A @ theta - b, np.inf) / size
-        worst = int(np.argmin(multiplier))
-        if multiplier[worst] >= -_TOLERANCE * np.abs(b[worst]) / size[worst]:
+            rest = b[free] - A[np.ix_(free, held)] @ theta[held]
+            theta[free] = pseudo_solve(A[np.ix_(free, free)], rest)
+        wrong = np.where(held, A @ theta - b < -least, theta < lower)
+        count = int(wrong.sum())
+        if not count:
             break
-        held[worst] = False
-    return theta
+        patience = _PATIENCE if count < fewest else patience - 1
+        fewest = min(fewest, count)
+        if patience < 0:
+            wrong[: np.flatnonzero(wrong)[-1]] = False
+        held ^= wrong
+    return np.maximum(theta, lower)
 
 
 def residual_covariance(products: CrossProducts, theta: Array) -> Array:
