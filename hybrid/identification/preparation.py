@@ -36,8 +36,7 @@ from hybrid.signals import (
     speed_against_position,
 )
 
-_FOLDS = 8  # of cross-validation: seven eighths of a short log still show its motion
-_FEWEST_WHOLE = 4  # recordings from which each lies in one fold
+_FOLDS = 4  # of cross-validation
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _WORKING_RATE = 12.5  # of the cut-off: sampling rate of the decimated motions
 _ALIAS_FREE = 5.0  # of the cut-off: torque below this is kept, above 6 is removed
@@ -116,7 +115,7 @@ def prepare(
     """Data of a fit, with cross-validation folds.
 
     Four or more recordings are assigned to folds as a whole; of fewer, each is cut into
-    eighths. Neighbouring samples are too similar to validate on, and a model must hold
+    quarters. Neighbouring samples are too similar to validate on, and a model must hold
     on motions that it has not seen.
 
     Args:
@@ -139,9 +138,9 @@ def prepare(
 def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]:
     found = []
     for r, motion in enumerate(motions):
-        if len(motions) >= _FEWEST_WHOLE:
+        if len(motions) >= _FOLDS:
             found.append(np.full(len(motion.t), r % _FOLDS))
-        else:  # parts of the moving samples, not of the standstill around them
+        else:  # quarters of the moving samples, not of the standstill around them
             moves = np.any(np.abs(motion.v) > standing, axis=1) & motion.mask
             found.append(_FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
     return found
