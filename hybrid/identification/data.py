@@ -50,7 +50,7 @@ class Data:
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
-    _cache: dict[tuple[Any, ...], Any] = field(
+    _cache: dict[tuple[Any, ...], Array] = field(
         default_factory=dict, repr=False, compare=False
     )
     _bodies: dict[tuple[int, int, int], RigidBody] = field(
@@ -132,8 +132,8 @@ class Data:
         return sampled_chunks(full, total, sampler, filtered)
 
     def cached(
-        self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Any]
-    ) -> Any:
+        self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Array]
+    ) -> Array:
         """A value that depends on the motion but not on its torque, computed once."""
         key = *key, id(motion.q)  # the array lives as long as these data
         found = self._cache[key] if key in self._cache else make()
@@ -214,13 +214,9 @@ class Data:
         return np.asarray(np.maximum(np.sum(each, axis=0), 1.0))
 
     def moves(self, motion: Motion) -> NDArray[np.bool_]:
-        """Unmasked samples of one of the motions at which each joint moves, (N, n)."""
-        found: NDArray[np.bool_] = self.cached(
-            ("moves",),
-            motion,
-            lambda: (np.abs(motion.v) > self.standing) & motion.mask[:, None],
-        )
-        return found
+        """Samples that are not masked and at which each joint moves, shape (N, n)."""
+        moves = np.abs(motion.v) > self.standing
+        return np.asarray(moves & motion.mask[:, None])
 
     def decimated(self, residual: Sequence[Array]) -> Residual:
         """A residual filtered and decimated, all motions concatenated.

@@ -32,6 +32,7 @@ class Solution:
         prior: Prior of the unknowns, or None.
         theta: Solutions without each fold, shape (F, p).
         squares: Held-out squares of each block, unfiltered, shape (B, n), [N²·m²].
+        strength: Number of samples that the prior is worth.
         inertial: Physically consistent links that give these values, shape (n, 10),
             or None.
     """
@@ -42,6 +43,7 @@ class Solution:
     prior: Prior | None
     theta: Array
     squares: Array
+    strength: float = 0.0
     inertial: Array | None = None
 
     @property

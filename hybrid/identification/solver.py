@@ -118,13 +118,14 @@ class Solver:
             without=without,
         )
         others = (*start.problem.effects, *with_zero_gains(others))
-        return self.best(problem, known, others)
+        return self.best(problem, known, others, start.strength)
 
     def best(
         self,
         problem: Problem,
         known: Sequence[Array] | None = None,
         others: Sequence[Effect] = (),
+        near: float | None = None,
     ) -> Solution:
         """The solution of least cost over estimators and strengths of the prior.
 
@@ -132,21 +133,27 @@ class Solver:
             problem: The unknowns.
             known: Torque to subtract first, shape (N, n) for each motion, [N·m].
             others: Effects that a later problem may have.
+            near: A strength whose neighbours alone are tried; all by default.
         """
         data = self._data.minus(known)
         products = data.products(problem, others)
         file = file_prior(problem, self._robot, self._data.scales)
-        strengths = _STRENGTHS if file is not None else _STRENGTHS[:1]
-        priors = [file.times(x) if file and x else None for x in strengths]
+        tried: Sequence[float] = _STRENGTHS if file is not None else (0.0,)
+        if near is not None:
+            at = tried.index(near)
+            tried = tried[max(at - 1, 0) : at + 2]
         # First choose the strength with weighted least squares, then the estimator.
         middle = self._estimators[min(1, len(self._estimators) - 1)]
         best = min(
-            (self._solution(data, products, middle, x) for x in priors),
+            (self._solution(data, products, middle, file, x) for x in tried),
             key=lambda x: self.cost(x.squares),
         )
         last = [x for x in self._estimators if x != middle]
         return min(
-            [best, *(self._solution(data, products, x, best.prior) for x in last)],
+            [
+                best,
+                *(self._solution(data, products, x, file, best.strength) for x in last),
+            ],
             key=lambda x: self.cost(x.squares),
         )
 
@@ -155,10 +162,12 @@ class Solver:
         data: Data,
         products: CrossProducts,
         estimator: Estimator,
-        prior: Prior | None = None,
+        file: Prior | None = None,
+        strength: float = 0.0,
         *,
         bounded: bool = True,
     ) -> Solution:
+        prior = file.times(strength) if file and strength else None
         found = solve_weighted(
             products, estimator, bounded=bounded, robust=self._robust, prior=prior
         )
@@ -170,7 +179,7 @@ class Solver:
             share=found.share,
         )
         squares = products.held_out_squares(theta)
-        return Solution(data, products, found, prior, theta, squares)
+        return Solution(data, products, found, prior, theta, squares, strength)
 
     def cost(self, squares: Array, harm: float = _HARM) -> float:
         """Mean log of the held-out RMS over plain LS, with a penalty on each rise."""
