@@ -47,9 +47,10 @@ class Bench:
 
     def products(self, logs, **options):
         standing = np.full(self.n, -1.0)
-        return accumulate(
-            self.problem, logs, cutoff=self.cutoff, standing=standing, **options
+        sums = accumulate(
+            self.problem.rows, logs, cutoff=self.cutoff, standing=standing, **options
         )
+        return sums.of(self.problem)
 
     def generalised(self, logs, weight):
         """Generalised least squares on the whole stacked matrix."""
@@ -274,7 +275,7 @@ def test_each_fold_is_scored_by_the_others(planar):
     products = planar.products(logs, folds=folds, blocks=folds)
     estimate = solve(products, "irls")
     found = without_folds(products, estimate.weight)
-    squares = products.scores.squares(found)
+    squares = products.held_out_squares(found)
     for k in range(4):
         rest = [replace(m, mask=f != k) for m, f in zip(logs, folds, strict=True)]
         held = [replace(m, mask=f == k) for m, f in zip(logs, folds, strict=True)]

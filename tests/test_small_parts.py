@@ -23,7 +23,7 @@ from hybrid.errors import HybridWarning
 from hybrid.excitation import multisine
 from hybrid.excitation.clearance import ends_in_world
 from hybrid.identification.data import Residual
-from hybrid.identification.friction import _Grid
+from hybrid.identification.friction import _columns, _knots, _maps, _shapes
 from hybrid.identification.remainder import _best_inputs, _candidates
 from hybrid.plant import Plant, random_fourier
 from hybrid.plant.noise import Noise
@@ -184,17 +184,18 @@ def test_least_squares_with_bounds_is_that_of_scipy(seed, least):
 
 
 def test_hats_between_speeds_hold_a_friction_law_at_each_of_them():
-    grid = _Grid(2.0)
-    v = np.concatenate([grid.knots[1:], -grid.knots[1:]])
-    columns = grid.columns(v)
+    knots = 2.0 * _knots()
+    v = np.concatenate([knots[1:], -knots[1:]])
+    columns = _columns(v, 2.0)
     sign, still = np.sign(v), 0 * v
-    for shapes, found in zip(grid.shapes, grid.maps @ columns_of(columns), strict=True):
+    for shares, found in zip(_shapes(), _maps() @ columns_of(columns), strict=True):
         state = JointState(still, still, v, still, sign, still)
+        shapes = {name: 2.0 * share for name, share in shares.items()}
         law = ThresholdFriction.law(state, fastest=2.0, **shapes)
         np.testing.assert_allclose(found[: len(law)], np.stack(law), atol=1e-9)
     between = np.array([0.3, -1.1, 1.999, -0.004])
-    hats = grid.columns(between)[: 2 * len(grid.knots)]
-    both = np.concatenate([grid.knots, grid.knots])
+    hats = _columns(between, 2.0)[: 2 * len(knots)]
+    both = np.concatenate([knots, knots])
     np.testing.assert_allclose(both @ hats, between, atol=1e-12)  # straight in between
     np.testing.assert_allclose(hats.sum(axis=0), np.sign(between), atol=1e-12)
 

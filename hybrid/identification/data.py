@@ -12,21 +12,22 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
-from hybrid.effects import Scale
+from hybrid.effects import Effect, Scale
 from hybrid.errors import RecordingError
 from hybrid.regression.cross_products import (
     Chunks,
     CrossProducts,
+    Sums,
     accumulate,
     sampled_chunks,
 )
 from hybrid.regression.problem import Problem, part
+from hybrid.regression.rows import Rows
 from hybrid.signals import (
     Motion,
     Sampler,
 )
 
-FOLDS = 4
 _FEWEST_BLOCKS = 48  # over which the gain of a term is averaged
 _CACHE_SIZE = 2**28  # bytes
 
@@ -55,7 +56,7 @@ class Data:
     _bodies: dict[tuple[int, int, int], RigidBody] = field(
         default_factory=dict, repr=False, compare=False
     )
-    _last: list[CrossProducts] = field(
+    _last: list[Sums] = field(
         default_factory=list, repr=False, compare=False, init=False
     )
 
@@ -69,12 +70,19 @@ class Data:
         pairs = zip(self.motions, known, strict=True)
         return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
 
-    def products(self, problem: Problem) -> CrossProducts:
-        """Cross-products of a problem on these motions; see :func:`accumulate`."""
-        if not (self._last and problem.equals(self._last[0].problem)):
+    def products(
+        self, problem: Problem, others: Sequence[Effect] = ()
+    ) -> CrossProducts:
+        """Cross-products of a problem on these motions; see :func:`accumulate`.
+
+        Args:
+            problem: The unknowns.
+            others: Effects that a later problem may have; its sums are then there.
+        """
+        if not (self._last and self._last[0].cover(problem)):
             self._last[:] = [
                 accumulate(
-                    problem,
+                    problem.rows.beside((*problem.effects, *others)),
                     self.motions,
                     cutoff=self.cutoff,
                     standing=self.standing,
@@ -83,47 +91,45 @@ class Data:
                     chunks=self.chunks,
                 )
             ]
-        return self._last[0]
+        return self._last[0].of(problem)
 
-    def chunks(
-        self, problem: Problem, motion: Motion, total: int | None = None
-    ) -> Chunks:
-        """Rows of a problem along a motion; see :func:`sampled_chunks`.
+    def chunks(self, rows: Rows, motion: Motion, total: int | None = None) -> Chunks:
+        """Rows along a motion; see :func:`sampled_chunks`.
 
-        Link rows are the same for all problems whose effects do not change signals, so
-        they are cached.
+        Link rows are the same for all rows whose effects do not change signals, so they
+        are cached.
         """
         sampler = Sampler.for_rate(motion.rate, self.cutoff)
         total = len(motion.t) if total is None else total
 
-        def rows(here: slice) -> Array:
+        def full(here: slice) -> Array:
             some = part(motion, here)
-            if problem.changes_signals:
-                return problem.rows(some)
+            if rows.changes_signals:
+                return rows.along(some)
             at = here.start, here.stop
-            links = self.cached(
-                ("raw", problem.links, *at), motion, lambda: problem.link_columns(some)
-            )
+            links = self.cached(("raw", *at), motion, lambda: rows.link_columns(some))
             body = self._bodies.get((id(motion.q), *at))
-            if body is None or not np.array_equal(body.inertial, problem.inertial):
-                body = RigidBody(problem.chain, some, problem.inertial)
+            if body is None or not np.array_equal(body.inertial, rows.inertial):
+                body = RigidBody(rows.chain, some, rows.inertial)
                 self._bodies[id(motion.q), *at] = body
-            return problem.rows(some, links, body)
+            return rows.along(some, links, body)
 
         def filtered(here: slice, full: Array) -> Array:
-            if problem.changes_signals:
+            if rows.changes_signals:
                 return sampler(full, axis=1)
-            links, others = problem.link_rows, np.r_[problem.other_rows]
             known = self.cached(
-                ("filtered", problem.links, here.start, here.stop),
+                ("filtered", here.start, here.stop),
                 motion,
-                lambda: np.concatenate([sampler(full[x], axis=1) for x in links]),
+                lambda: np.concatenate(
+                    [sampler(full[x], axis=1) for x, _ in rows.parts]
+                ),
             )
+            links, others = (np.r_[x] for x in zip(*rows.parts, strict=True))
             out = np.empty((len(full), known.shape[1]))
-            out[np.r_[links]], out[others] = known, sampler(full[others], axis=1)
+            out[links], out[others] = known, sampler(full[others], axis=1)
             return out
 
-        return sampled_chunks(rows, total, sampler, filtered)
+        return sampled_chunks(full, total, sampler, filtered)
 
     def cached(
         self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Array]
@@ -149,10 +155,11 @@ class Data:
         for motion, fold in zip(self.motions, self.folds, strict=True):
             residual = np.empty_like(motion.tau)
             factor = Sampler.for_rate(motion.rate, self.cutoff).factor
-            for first, _, D in self.chunks(problem, motion):
+            for first, _, D in self.chunks(problem.rows, motion):
                 here = slice(first * factor, first * factor + D.shape[1])
-                for i, support in enumerate(problem.support):
-                    own = D[problem.offsets[i] : problem.offsets[i + 1]]
+                parts = np.split(D, problem.rows.offsets[1:-1])
+                for i, own in enumerate(parts):
+                    support = problem.support[i]
                     known = theta[:, support] @ own[:-1]
                     known = np.take_along_axis(known, fold[None, here], axis=0)[0]
                     residual[here, i] = own[-1] - known
@@ -177,20 +184,30 @@ class Data:
         found, last = [], 0
         for fold in self.folds:
             position = np.arange(len(fold)) * each // len(fold)
-            _, label = np.unique(position * FOLDS + fold, return_inverse=True)
+            _, label = np.unique(position * self.fold_count + fold, return_inverse=True)
             found.append(last + label)
             last += 1 + int(label.max())
         return found
 
-    @property
+    @cached_property
+    def fold_count(self) -> int:
+        """Number of folds F."""
+        return 1 + max(int(fold.max()) for fold in self.folds)
+
+    @cached_property
     def scales(self) -> list[Scale]:
         """Highest torque and speed of every joint in the data."""
         each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
         torque = np.max(each, axis=0)
-        pairs = zip(torque, fastest(self.motions), strict=True)
+        pairs = zip(torque, self.visited["v_max"], strict=True)
         return [Scale(max(float(x), 1e-12), max(float(y), 1e-12)) for x, y in pairs]
 
-    @property
+    @cached_property
+    def visited(self) -> dict[str, Array]:
+        """Lowest and highest position and highest speed, each of shape (n,)."""
+        return visited(self.motions)
+
+    @cached_property
     def moving(self) -> Array:
         """Number of samples at which each joint moves, at least 1, shape (n,)."""
         each = [self.moves(m).sum(axis=0) for m in self.motions]

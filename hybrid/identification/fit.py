@@ -10,8 +10,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.regression.cross_products import CrossProducts
-from hybrid.regression.intervals import Estimate, weak_directions
+from hybrid.regression.intervals import Estimate, condition_number, weak_directions
 from hybrid.regression.problem import Problem
 from hybrid.shown import Shown
 
@@ -107,12 +106,16 @@ def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
     return tuple(found)
 
 
-def poor_excitation(products: CrossProducts, estimate: Estimate) -> str | None:
-    """A sentence that names parameters which the motion hardly excites, or None."""
-    if estimate.condition <= GOOD_CONDITION:
+def poor_excitation(problem: Problem, A: Array) -> str | None:
+    """A sentence that names parameters which the motion hardly excites, or None.
+
+    Args:
+        problem: The unknowns.
+        A: Normal matrix, shape (p, p).
+    """
+    condition = condition_number(A)
+    if condition <= GOOD_CONDITION:
         return None
-    problem = products.problem
-    A, _ = products.normal(estimate.weight)
     weak = (weak_directions(A, 1 / GOOD_CONDITION) ** 2).sum(axis=1)
     worst = [int(k) for k in np.argsort(-weak)[:_MOST_NAMED] if weak[k] > _WEAK]
     labels, joints = problem.base.kept_labels, problem.chain.joints
@@ -120,7 +123,7 @@ def poor_excitation(products: CrossProducts, estimate: Estimate) -> str | None:
     moved = {of_gain.get(k, problem.base.kept[k] // 10) for k in worst}
     return (
         f"the motion excites the arm poorly (condition number "
-        f"{estimate.condition:.3g}, good is below {GOOD_CONDITION:g}): "
+        f"{condition:.3g}, good is below {GOOD_CONDITION:g}): "
         f"{', '.join(labels[k] for k in worst)} are hardly determined; move "
         f"{', '.join(joints[j] for j in sorted(moved))} farther, or faster"
     )

@@ -12,8 +12,7 @@ squares).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identification.data import FOLDS, Data
+from hybrid.identification.data import Data
 from hybrid.regression.cross_products import sampled_chunks
 from hybrid.signals import Sampler
 
@@ -35,59 +34,54 @@ _SMOOTH = 3  # columns of powers of speed
 _COLUMNS = len(ThresholdFriction.gains)
 
 
-@dataclass(frozen=True)
-class _Grid:
-    """A grid of thresholds and widths, and the speeds at which their laws bend."""
+@cache
+def _shapes() -> list[dict[str, float]]:
+    """Every threshold and width below it, as shares of the highest speed."""
+    ratios = np.geomspace(_SMALLEST_THRESHOLD, 1.0, _THRESHOLDS).tolist()
+    return [{"threshold": x, "width": w} for w in _WIDTHS for x in ratios if w < x]
 
-    fastest: float
 
-    @cached_property
-    def shapes(self) -> list[dict[str, float]]:
-        """Every pair whose width is below its threshold."""
-        ratios = np.geomspace(_SMALLEST_THRESHOLD, 1.0, _THRESHOLDS)
-        return [
-            {"threshold": x * self.fastest, "width": w * self.fastest}
-            for w in _WIDTHS
-            for x in ratios
-            if w < x
-        ]
+@cache
+def _knots() -> Array:
+    """Speeds at which their laws bend, from 0 to 1, shape (K,)."""
+    return np.unique([x for shapes in _shapes() for x in (0.0, *shapes.values())])
 
-    @cached_property
-    def knots(self) -> Array:
-        """Speeds from zero to the highest, shape (K,), [rad/s]."""
-        found = {x for shape in self.shapes for x in shape.values()} | {self.fastest}
-        return np.array(sorted(found))
 
-    def columns(self, v: Array) -> Array:
-        """Hat functions of each direction, then powers of speed; shape (2K + 3, N)."""
-        speed, sign = abs(v), np.sign(v)
-        at = np.clip(np.searchsorted(self.knots, speed) - 1, 0, len(self.knots) - 2)
-        step = np.diff(self.knots)[at]
-        share = np.clip((speed - self.knots[at]) / step, 0.0, 1.0)
-        count, samples = len(self.knots), np.arange(len(speed))
-        out = np.zeros((2 * count + _SMOOTH, len(speed)))
-        row = at + np.where(v < 0, count, 0)
-        out[row, samples] = sign * (1.0 - share)
-        out[row + 1, samples] = sign * share
-        for k in range(1, _SMOOTH + 1):
-            out[2 * count + k - 1] = sign * speed**k
-        return out
+@cache
+def _maps() -> Array:
+    """Matrix from :func:`_columns`, load and torque to the rows of each law."""
+    zero, count = np.zeros(len(_knots())), len(_knots())
+    dry = _COLUMNS - _SMOOTH
+    found = []
+    for shapes in _shapes():
+        hats = np.zeros((dry, 2 * count))
+        for k, sign in enumerate((1.0, -1.0)):
+            v = sign * np.maximum(_knots(), 1e-9)
+            state = JointState(zero, zero, v, zero, np.sign(v), zero)
+            law = ThresholdFriction.law(state, fastest=1.0, **shapes)
+            hats[:, k * count : (k + 1) * count] = sign * np.stack(law[:dry])
+        found.append(block_diag(hats, np.eye(_SMOOTH + 2)))
+    return np.array(found)
 
-    @cached_property
-    def maps(self) -> Array:
-        """Matrix from :meth:`columns`, load and torque to the law's rows, by pair."""
-        zero, count = np.zeros(len(self.knots)), len(self.knots)
-        dry = _COLUMNS - _SMOOTH
-        found = []
-        for shapes in self.shapes:
-            hats = np.zeros((dry, 2 * count))
-            for k, sign in enumerate((1.0, -1.0)):
-                v = sign * np.maximum(self.knots, 1e-9 * self.fastest)
-                state = JointState(zero, zero, v, zero, np.sign(v), zero)
-                law = ThresholdFriction.law(state, fastest=self.fastest, **shapes)
-                hats[:, k * count : (k + 1) * count] = sign * np.stack(law[:dry])
-            found.append(block_diag(hats, np.eye(_SMOOTH + 2)))
-        return np.array(found)
+
+def _columns(v: Array, fastest: float) -> Array:
+    """Hat functions of each direction, then powers of speed; shape (2K + 3, N).
+
+    Args:
+        v: Speed, shape (N,), [rad/s].
+        fastest: The highest, [rad/s].
+    """
+    speed, sign, knots = abs(v), np.sign(v), fastest * _knots()
+    at = np.clip(np.searchsorted(knots, speed) - 1, 0, len(knots) - 2)
+    share = np.clip((speed - knots[at]) / np.diff(knots)[at], 0.0, 1.0)
+    count, samples = len(knots), np.arange(len(speed))
+    out = np.zeros((2 * count + _SMOOTH, len(speed)))
+    row = at + np.where(v < 0, count, 0)
+    out[row, samples] = sign * (1.0 - share)
+    out[row + 1, samples] = sign * share
+    for k in range(1, _SMOOTH + 1):
+        out[2 * count + k - 1] = sign * speed**k
+    return out
 
 
 def fit_friction(
@@ -104,9 +98,8 @@ def fit_friction(
     Returns:
         Threshold friction, and load friction if it lowers the held-out error.
     """
-    grid = _Grid(max(float(np.abs(m.v[m.mask, joint]).max()) for m in data.motions))
-    products = grid.maps[:, None] @ _products(data, joint, rest, load, grid)
-    products = products @ grid.maps.transpose(0, 2, 1)[:, None]
+    products = _maps()[:, None] @ _products(data, joint, rest, load)
+    products = products @ _maps().transpose(0, 2, 1)[:, None]
     bare = np.delete(np.arange(_COLUMNS + 2), _COLUMNS)
     laws = products[:, :, bare[:, None], bare], products  # without load, and with it
     errors = np.stack([held_out(x) for x in laws], axis=1)
@@ -114,7 +107,9 @@ def fit_friction(
     coefficients = _nonnegative(laws[loaded][best].sum(axis=0)).tolist()
     names = [g.name for g in ThresholdFriction.gains]
     values = _canonical(dict(zip(names, coefficients, strict=False)))
-    shapes = {**grid.shapes[best], "fastest": grid.fastest}
+    fastest = float(data.visited["v_max"][joint])
+    shapes = {"fastest": fastest}
+    shapes |= {name: x * fastest for name, x in _shapes()[best].items()}
     effects: tuple[Effect, ...] = (ThresholdFriction((joint,), values | shapes),)
     if loaded and coefficients[-1] > 0:
         effects += (LoadFriction((joint,), {"coefficient": coefficients[-1]}),)
@@ -122,11 +117,12 @@ def fit_friction(
 
 
 def _products(
-    data: Data, joint: int, rest: Sequence[Array], load: Sequence[Array], grid: _Grid
+    data: Data, joint: int, rest: Sequence[Array], load: Sequence[Array]
 ) -> Array:
     """Cross-products of [columns, load, rest] of each fold, shape (F, rows, rows)."""
-    size = 2 * len(grid.knots) + _SMOOTH + 2
-    sums = np.zeros((FOLDS, size, size))
+    size = _maps().shape[-1]
+    fastest = float(data.visited["v_max"][joint])
+    sums = np.zeros((data.fold_count, size, size))
     for motion, fold, *new in zip(data.motions, data.folds, load, rest, strict=True):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         moves = sampler.keep(data.moves(motion)[:, joint])
@@ -135,7 +131,7 @@ def _products(
         def columns(
             v: Array = v, sampler: Sampler = sampler, moves: NDArray[np.bool_] = moves
         ) -> Array:
-            chunks = sampled_chunks(lambda x: grid.columns(v[x]), len(v), sampler)
+            chunks = sampled_chunks(lambda x: _columns(v[x], fastest), len(v), sampler)
             return np.concatenate([D for _, D, _ in chunks], axis=1)[:, moves]
 
         known = data.cached(("friction", joint), motion, columns)

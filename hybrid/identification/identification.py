@@ -25,7 +25,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
 from hybrid.identification.consistency import physically_consistent
-from hybrid.identification.data import FOLDS, Data
+from hybrid.identification.data import Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import with_accepted
@@ -35,6 +35,7 @@ from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
 from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.regression.intervals import condition_number
 from hybrid.regression.least_squares import Estimator, without_folds
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
@@ -76,6 +77,7 @@ class Identification:
 
     best: Solution
     squares: Array
+    condition: float
 
     def rigid_stage(self) -> dict[str, Array]:
         """Fit the rigid body with linear friction.
@@ -91,7 +93,9 @@ class Identification:
         self.simpler = self.solver.plain(problem)
         self._adopt(self.solver.best(problem))
         last = self.simpler[self.estimator]
-        poor = poor_excitation(last.products, last.estimate)
+        A, _ = last.products.normal(last.weighted.weight)
+        self.condition = condition_number(A)
+        poor = poor_excitation(problem, A)
         if poor:
             self.warnings.append(poor)
         found = {x.upper(): s.squares for x, s in self.simpler.items()}
@@ -123,13 +127,12 @@ class Identification:
             new = find_ripples(self.data, self.best, waves)
             # At all speeds of the log, or only at speeds whose ripple is below the
             # cut-off.
-            limits = (lambda x: x, partial(in_band, cutoff=self.data.cutoff))
+            limit = partial(in_band, cutoff=self.data.cutoff)
+            slow = {j: list(map(limit, x)) for j, x in new.items()}
+            slow = {j: x for j, x in slow.items() if x != new[j]}
             options = [
-                {
-                    j: [*self._replaceable(self.best, j), *map(limit, ripples)]
-                    for j, ripples in new.items()
-                }
-                for limit in limits
+                {j: [*self._replaceable(self.best, j), *x] for j, x in ripples.items()}
+                for ripples in (new, slow)
             ]
             found = self._accepted(self.best, options, tried=JUDGED)
             if found is self.best:
@@ -184,7 +187,6 @@ class Identification:
             products,
             weighted.weight,
             optimum=optimum,
-            folds=FOLDS,
             share=weighted.share,
         )
         self.settled &= found.converged
@@ -234,7 +236,7 @@ class Identification:
             units=tuple(problem.base.units[k] for k in problem.base.kept),
             estimate=estimate,
             held_out=held_out,
-            condition=self.simpler[self.estimator].estimate.condition,
+            condition=self.condition,
             converged=converged,
             unidentifiable=unidentifiable(problem, estimate),
             left_out=tuple(self.left_out),
@@ -302,9 +304,11 @@ class Identification:
         tried: int = 1,
     ) -> Solution:
         """The start with the terms that pass the gate, unless it is better without."""
+        offered = [e for at in options for effects in at.values() for e in effects]
 
         def fitted(at: Mapping[int, list[Effect]]) -> Solution:
-            return self.solver.with_effects(start, self._with_candidates(start, at))
+            effects = self._with_candidates(start, at)
+            return self.solver.with_effects(start, effects, others=offered)
 
         found = with_accepted(start, options, fitted, tried=tried)
         return min(start, found, key=lambda x: self.solver.cost(x.squares))

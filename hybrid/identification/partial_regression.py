@@ -11,6 +11,7 @@ doi 10.1093/biomet/73.1.13 (noise that is correlated within blocks).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from scipy.special import fdtri
 
 from hybrid.arrays import Array
 from hybrid.identification.solution import Solution
-from hybrid.regression.least_squares import pseudo_inverse
+from hybrid.regression.least_squares import pseudo_solve
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,9 @@ class PartialRegression:
         variance = np.diag(solution.sigma)
         weight = np.diag(variance[joint] / np.maximum(variance, 1e-300))
         weight[joint, joint] = 0.0
-        A, b = [], []
-        for sums in products.folds:
-            A_k, b_k = products.normal(weight, sums)
-            A.append(A_k)
-            b.append(b_k - A_k @ theta)
+        A, b = products.normal(weight, products.folds)
         support = solution.problem.support[joint]
-        return cls((np.array(A), np.array(b)), support, rows[:-1], rows[-1])
+        return cls((A, b - A @ theta), support, rows[:-1], rows[-1])
 
     def with_wave(self, wave: Array) -> PartialRegression:
         """The same with one more pair of columns, shape (2, M), at its best gains."""
@@ -82,9 +79,7 @@ class PartialRegression:
             Gains, shape (2,), the pair orthogonalised to the other columns, shape
             (2, M), the normal matrix of the gains, and the residual, shape (M,).
         """
-        S, theta, coupling = self._inverse(
-            np.ones(len(self.others[0]), dtype=bool), self.columns, self.residual
-        )
+        S, theta, coupling = self._alone
         projection = wave @ self.columns.T @ S
         orthogonal = wave - projection @ self.columns
         H = orthogonal @ wave.T + _ridge(wave @ wave.T)
@@ -94,29 +89,31 @@ class PartialRegression:
         )
         return gains, orthogonal, H, before - gains @ orthogonal
 
-    def _inverse(
-        self, chosen: NDArray[np.bool_], D: Array, y: Array
-    ) -> tuple[Array, Array, Array]:
+    @cached_property
+    def _alone(self) -> tuple[Array, Array, Array]:
+        D, y = self.columns, self.residual
+        return self._inverse(np.ones(len(self.others[0])), D @ D.T, D @ y)
+
+    def _inverse(self, chosen: Array, P: Array, h: Array) -> tuple[Array, Array, Array]:
         """The regression without new columns.
 
         Args:
-            chosen: Folds of the other joints to use, shape (F,).
-            D: Columns of this joint, shape (d, M).
-            y: Residual of this joint, shape (M,).
+            chosen: One for each fold of the other joints to use, else zero, shape (F,).
+            P: Normal matrix of this joint's columns, shape (d, d).
+            h: Its right side, shape (d,).
 
         Returns:
             Inverse normal matrix and optimum of this joint's unknowns, and the gradient
             of the other joints there.
         """
-        A, b = (x[chosen].sum(axis=0) for x in self.others)
-        here = np.ix_(self.support, self.support)
+        A, b = (np.tensordot(chosen, x, axes=1) for x in self.others)
         normal, moment = A.copy(), b.copy()
-        normal[here] += D @ D.T
-        moment[self.support] += D @ y
-        inverse = pseudo_inverse(normal)
-        theta = inverse @ moment
-        coupling = (b - A @ theta)[self.support]
-        return inverse[here], theta[self.support], coupling
+        normal[np.ix_(self.support, self.support)] += P
+        moment[self.support] += h
+        unit = np.eye(len(b))[:, self.support]
+        found = pseudo_solve(normal, np.column_stack([unit, moment]))
+        inverse, theta = found[self.support, :-1], found[:, -1]
+        return inverse, theta[self.support], (b - A @ theta)[self.support]
 
     def cross_validated(
         self, waves: Array, fold: NDArray[np.intp]
@@ -136,16 +133,12 @@ class PartialRegression:
             _Sums.of(waves, self.columns, self.residual, fold == k)
             for k in range(folds)
         ]
+        whole = [sum(x) for x in zip(*(vars(p).values() for p in parts), strict=True)]
         before, after = [], []
         for k, held in enumerate(parts):
-            rest = fold != k
-            S, theta, _ = self._inverse(
-                np.arange(folds) != k, self.columns[:, rest], self.residual[rest]
-            )
-            B, G, c = (
-                sum(getattr(x, name) for x in parts) - getattr(held, name)
-                for name in ("B", "G", "c")
-            )
+            pairs = zip(whole, vars(held).values(), strict=True)
+            B, G, c, P, h, _ = (x - y for x, y in pairs)
+            S, theta, _ = self._inverse(1.0 * (np.arange(folds) != k), P, h)
             SB = S @ B.transpose(0, 2, 1)  # (K, d, 2)
             H = G - B @ SB + _ridge(G)
             gains = np.linalg.solve(H, (c - B @ theta)[..., None])
@@ -187,9 +180,8 @@ class _Sums:
 
     @classmethod
     def of(cls, waves: Array, D: Array, y: Array, use: NDArray[np.bool_]) -> _Sums:
-        w, D, y = waves[:, :, use].astype(float), D[:, use], y[use]
-        flat = np.concatenate(w)
-        B = (flat @ D.T).reshape(*w.shape[:2], len(D))
+        w, D, y = waves[:, :, use], D[:, use], y[use]
+        B = (w.reshape(2 * len(w), len(y)) @ D.T).reshape(*w.shape[:2], len(D))
         G, c = w @ w.transpose(0, 2, 1), w @ y
         return cls(B, G, c, D @ D.T, D @ y, float(y @ y))
 

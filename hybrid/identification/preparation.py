@@ -20,7 +20,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
-from hybrid.identification.data import FOLDS, Data, fastest
+from hybrid.identification.data import Data, fastest
 from hybrid.inspect import check_recordings
 from hybrid.model.declared import declared_effects
 from hybrid.recording import Recording
@@ -36,6 +36,7 @@ from hybrid.signals import (
     speed_against_position,
 )
 
+_FOLDS = 4  # of cross-validation
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _WORKING_RATE = 12.5  # of the cut-off: sampling rate of the decimated motions
 _ALIAS_FREE = 5.0  # of the cut-off: torque below this is kept, above 6 is removed
@@ -137,11 +138,11 @@ def prepare(
 def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]:
     found = []
     for r, motion in enumerate(motions):
-        if len(motions) >= FOLDS:
-            found.append(np.full(len(motion.t), r % FOLDS))
+        if len(motions) >= _FOLDS:
+            found.append(np.full(len(motion.t), r % _FOLDS))
         else:  # quarters of the moving samples, not of the standstill around them
             moves = np.any(np.abs(motion.v) > standing, axis=1) & motion.mask
-            found.append(FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
+            found.append(_FOLDS * np.cumsum(moves) // (1 + int(moves.sum())))
     return found
 
 
@@ -204,13 +205,13 @@ def prepare_at_best_cutoff(
     shortest = min(float(m.t[-1] - m.t[0]) for m in best.motions)
     for halvings in range(_MOST_HALVINGS + 1):
         cutoff = highest / 2**halvings
-        if cutoff * shortest < FEWEST_PERIODS * FOLDS:
+        if cutoff * shortest < FEWEST_PERIODS * data.fold_count:
             break
         if halvings:
             data = prepare(logs, cutoff, highest=highest, speeds=speeds)
         products = data.products(problem)
         found = solve_weighted(products, "wls", robust=robust)
-        theta = without_folds(products, found.weight, folds=FOLDS, share=found.share)
+        theta = without_folds(products, found.weight, share=found.share)
         squares = summed_squares(products.held_out_squares(theta), robust)
         error = np.sqrt(squares / data.moving)
         level = float(np.log(np.maximum(error, 1e-300)).mean())

@@ -149,14 +149,15 @@ def _pieces(data: Data, solution: Solution, waves: Waves) -> list[list[_Piece]]:
     for r, (motion, fold) in enumerate(zip(data.motions, data.folds, strict=True)):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         total = int(min(1.0, share) * len(motion.t))
-        chunks = data.chunks(problem, motion, total)
+        chunks = data.chunks(problem.rows, motion, total)
         whole = np.concatenate([D for _, D, _ in chunks], axis=1)
         short, few = part(motion, slice(0, total)), slice(0, total, sampler.factor)
         block = ((motion.t[few] - motion.t[0]) // _BLOCK_SECONDS).astype(int)
-        moves = data.moves(short)[:: sampler.factor]
+        moves = data.moves(motion)[few]
         for joint, own in enumerate(found):
             use = moves[:, joint]
-            rows = whole[problem.offsets[joint] : problem.offsets[joint + 1], use]
+            first, stop = problem.rows.offsets[joint : joint + 2]
+            rows = whole[first:stop, use]
             rows[-1] -= theta[problem.support[joint]] @ rows[:-1]
             own.append(
                 _Piece(

@@ -11,7 +11,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.effects import Effect
-from hybrid.identification.data import Data, visited
+from hybrid.identification.data import Data
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.intervals import Estimate, with_uncertainty
@@ -32,6 +32,7 @@ class Solution:
         prior: Prior of the unknowns, or None.
         theta: Solutions without each fold, shape (F, p).
         squares: Held-out squares of each block, unfiltered, shape (B, n), [N²·m²].
+        strength: Number of samples that the prior is worth.
         inertial: Physically consistent links that give these values, shape (n, 10),
             or None.
     """
@@ -42,6 +43,7 @@ class Solution:
     prior: Prior | None
     theta: Array
     squares: Array
+    strength: float = 0.0
     inertial: Array | None = None
 
     @property
@@ -59,9 +61,11 @@ class Solution:
         includes the uncertainty of that choice.
         """
         whole = self.problem.complete()
-        complete = self.products if whole is self.problem else self.data.products(whole)
         found = with_uncertainty(
-            self.products, self.weighted, prior=self.prior, complete=complete
+            self.products,
+            self.weighted,
+            prior=self.prior,
+            complete=self.products.source.of(whole),
         )
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)
@@ -106,7 +110,7 @@ class Solution:
             remainder,
             self.data.cutoff,
             self.data.standing,
-            visited(self.data.motions),
+            self.data.visited,
             self.inertial,
         )
 

@@ -18,9 +18,10 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identification.data import FOLDS, Data
+from hybrid.identification.data import Data
 from hybrid.identification.preparation import summed_squares
 from hybrid.identification.solution import Solution, with_zero_gains
+from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     ESTIMATORS,
     Estimator,
@@ -55,8 +56,10 @@ class Solver:
         The better of the first two at each joint becomes the reference of
         :meth:`cost`.
         """
-        data = self._data
-        found = {x: self._solution(data, problem, x, bounded=False) for x in ESTIMATORS}
+        data, products = self._data, self._data.products(problem)
+        found = {
+            x: self._solution(data, products, x, bounded=False) for x in ESTIMATORS
+        }
         ls, wls = (found[x].squares for x in ESTIMATORS[:2])
         self.reference = np.where(self.total(ls) < self.total(wls), ls, wls)
         return found
@@ -90,6 +93,7 @@ class Solver:
         start: Solution,
         effects: Sequence[Effect],
         known: Sequence[Array] | None = None,
+        others: Sequence[Effect] = (),
     ) -> Solution:
         """The best solution with other effects.
 
@@ -97,6 +101,7 @@ class Solver:
             start: Solution whose links give the transmitted torque.
             effects: Effects; their shapes are fixed.
             known: Torque to subtract first, shape (N, n) for each motion, [N·m].
+            others: Effects that a later call from this start may have.
         """
         # Gains that the friction fit has set to zero stay zero, because the columns of
         # falling and rising friction are collinear.
@@ -112,41 +117,57 @@ class Solver:
             inertial=start.problem.rigid_inertial(start.weighted.theta),
             without=without,
         )
-        return self.best(problem, known)
+        others = (*start.problem.effects, *with_zero_gains(others))
+        return self.best(problem, known, others, start.strength)
 
-    def best(self, problem: Problem, known: Sequence[Array] | None = None) -> Solution:
+    def best(
+        self,
+        problem: Problem,
+        known: Sequence[Array] | None = None,
+        others: Sequence[Effect] = (),
+        near: float | None = None,
+    ) -> Solution:
         """The solution of least cost over estimators and strengths of the prior.
 
         Args:
             problem: The unknowns.
             known: Torque to subtract first, shape (N, n) for each motion, [N·m].
+            others: Effects that a later problem may have.
+            near: A strength whose neighbours alone are tried; all by default.
         """
         data = self._data.minus(known)
+        products = data.products(problem, others)
         file = file_prior(problem, self._robot, self._data.scales)
-        strengths = _STRENGTHS if file is not None else _STRENGTHS[:1]
-        priors = [file.times(x) if file and x else None for x in strengths]
+        tried: Sequence[float] = _STRENGTHS if file is not None else (0.0,)
+        if near is not None:
+            at = tried.index(near)
+            tried = tried[max(at - 1, 0) : at + 2]
         # First choose the strength with weighted least squares, then the estimator.
         middle = self._estimators[min(1, len(self._estimators) - 1)]
         best = min(
-            (self._solution(data, problem, middle, x) for x in priors),
+            (self._solution(data, products, middle, file, x) for x in tried),
             key=lambda x: self.cost(x.squares),
         )
-        others = [x for x in self._estimators if x != middle]
+        last = [x for x in self._estimators if x != middle]
         return min(
-            [best, *(self._solution(data, problem, x, best.prior) for x in others)],
+            [
+                best,
+                *(self._solution(data, products, x, file, best.strength) for x in last),
+            ],
             key=lambda x: self.cost(x.squares),
         )
 
     def _solution(
         self,
         data: Data,
-        problem: Problem,
+        products: CrossProducts,
         estimator: Estimator,
-        prior: Prior | None = None,
+        file: Prior | None = None,
+        strength: float = 0.0,
         *,
         bounded: bool = True,
     ) -> Solution:
-        products = data.products(problem)
+        prior = file.times(strength) if file and strength else None
         found = solve_weighted(
             products, estimator, bounded=bounded, robust=self._robust, prior=prior
         )
@@ -155,11 +176,10 @@ class Solver:
             found.weight,
             bounded=bounded,
             prior=prior,
-            folds=FOLDS,
             share=found.share,
         )
         squares = products.held_out_squares(theta)
-        return Solution(data, products, found, prior, theta, squares)
+        return Solution(data, products, found, prior, theta, squares, strength)
 
     def cost(self, squares: Array, harm: float = _HARM) -> float:
         """Mean log of the held-out RMS over plain LS, with a penalty on each rise."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem, part
+from hybrid.regression.rows import Rows
 from hybrid.regression.scores import Scores, runs_of
 from hybrid.signals import Motion, Sampler
 
@@ -29,11 +30,11 @@ Chunks = Iterator[tuple[int, Array, Array]]
 
 
 @dataclass(frozen=True)
-class CrossProducts:
+class Sums:
     """Sums over the samples of each block in time.
 
     Attributes:
-        problem: Unknowns and layout of the rows.
+        rows: Columns and torque of every joint.
         blocks: Rows times rows transposed, summed over each block, shape (B, P, P).
         counts: Samples of each block in which both joints moved, shape (B, n, n).
         recording: Index of the recording of each block, shape (B,).
@@ -41,12 +42,32 @@ class CrossProducts:
         scores: Sums of unfiltered rows, for held-out errors.
     """
 
-    problem: Problem
+    rows: Rows
     blocks: Array
     counts: Array
     recording: NDArray[np.intp]
     fold: NDArray[np.intp]
-    scores: Scores | None = None
+    scores: Scores | None
+
+    def cover(self, problem: Problem) -> bool:
+        """Whether they hold all rows of a problem."""
+        return self.rows.places(problem.rows) is not None
+
+    def of(self, problem: Problem) -> CrossProducts:
+        """Those of a problem whose rows they hold."""
+        places = self.rows.places(problem.rows)
+        assert places is not None
+        own = places - np.repeat(self.rows.offsets[:-1], np.diff(problem.rows.offsets))
+        return CrossProducts(
+            problem.rows,
+            self.blocks[:, places[:, None], places],
+            self.counts,
+            self.recording,
+            self.fold,
+            self.scores and self.scores.of(np.split(own, problem.rows.offsets[1:-1])),
+            problem,
+            self,
+        )
 
     @cached_property
     def total(self) -> Array:
@@ -64,8 +85,9 @@ class CrossProducts:
         Args:
             share: Weight of each block, shape (B,).
         """
-        parts = [self.fold == k for k in range(int(self.fold.max()) + 1)]
-        return np.array([np.tensordot(share[x], self.blocks[x], axes=1) for x in parts])
+        last = max(x.fold.max() for x in (self, self.scores) if x)
+        member = np.arange(last + 1)[:, None] == self.fold
+        return np.asarray(np.tensordot(member * share, self.blocks, axes=1))
 
     def weighted_total(self, share: Array) -> Array:
         """Sum over all blocks, each with a weight, shape (P, P).
@@ -76,6 +98,19 @@ class CrossProducts:
         if share.min() == 1.0:
             return self.total
         return np.asarray(np.tensordot(share, self.blocks, axes=1))
+
+
+@dataclass(frozen=True)
+class CrossProducts(Sums):
+    """Those of a problem.
+
+    Attributes:
+        problem: The unknowns.
+        source: Sums of these and other rows.
+    """
+
+    problem: Problem
+    source: Sums
 
     @property
     def samples(self) -> int:
@@ -97,11 +132,11 @@ class CrossProducts:
         A = np.zeros((*many, problem.size, problem.size))
         b = np.zeros((*many, problem.size))
         for i, left in enumerate(problem.support):
-            rows = slice(problem.offsets[i], problem.offsets[i] + len(left))
+            rows = slice(self.rows.offsets[i], self.rows.offsets[i] + len(left))
             for k, right in enumerate(problem.support):
                 if weight[i, k] == 0:
                     continue
-                start = problem.offsets[k]
+                start = self.rows.offsets[k]
                 columns = slice(start, start + len(right))
                 A[..., left[:, None], right] += weight[i, k] * sums[..., rows, columns]
                 b[..., left] += weight[i, k] * sums[..., rows, start + len(right)]
@@ -114,9 +149,9 @@ class CrossProducts:
             theta: Unknowns, shape (p,).
         """
         problem = self.problem
-        C = np.zeros((problem.offsets[-1], len(problem.support)))
+        C = np.zeros((self.rows.offsets[-1], len(problem.support)))
         for i, support in enumerate(problem.support):
-            start = problem.offsets[i]
+            start = self.rows.offsets[i]
             C[start : start + len(support), i] = -theta[support]
             C[start + len(support), i] = 1.0
         return C
@@ -138,26 +173,26 @@ class CrossProducts:
             theta: Solutions without each fold, shape (F, p).
         """
         assert self.scores is not None
-        return self.scores.squares(theta)
+        return self.scores.squares(theta, self.problem.support)
 
 
 def accumulate(
-    problem: Problem,
+    rows: Rows,
     motions: Sequence[Motion],
     *,
     cutoff: float,
     standing: Array,
     folds: Sequence[NDArray[np.intp]] | None = None,
     blocks: Sequence[NDArray[np.intp]] | None = None,
-    chunks: Callable[[Problem, Motion], Chunks] | None = None,
-) -> CrossProducts:
-    """Cross-products of motions, with columns and torque filtered identically.
+    chunks: Callable[[Rows, Motion], Chunks] | None = None,
+) -> Sums:
+    """Sums of products of rows along motions, columns and torque filtered identically.
 
     The rows of a joint are left out while it stands still: any friction below the
     break-away torque may hold it then, so its torque tells nothing.
 
     Args:
-        problem: Unknowns and layout of the rows.
+        rows: Columns and torque of every joint.
         motions: Motions at full rate.
         cutoff: Cut-off of the filter of columns and torque, [Hz]; inf for none.
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
@@ -167,81 +202,62 @@ def accumulate(
         chunks: Source of the rows of a motion; see :func:`sampled_chunks`.
 
     Returns:
-        Cross-products in about 100 blocks at most.
+        Sums in about 100 blocks at most.
 
     Raises:
         IdentificationError: Every sample is masked, or no joint moves.
     """
     seconds = sum(m.t[-1] - m.t[0] for m in motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
-    scores = None if blocks is None or folds is None else Scores(problem, blocks, folds)
+    sizes = np.diff(rows.offsets).tolist()
+    scores = Scores.empty(sizes, blocks, folds) if blocks and folds else None
     found: list[tuple[int, int, Array, Array]] = []
     for r, motion in enumerate(motions):
-        fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
         sampler = Sampler.for_rate(motion.rate, cutoff)
-        rows = (
-            chunks(problem, motion)
-            if chunks
-            else _uncached_chunks(problem, motion, sampler)
-        )
         length = max(1, round(block_seconds * motion.rate / sampler.factor))
-        sums = _one_motion(
-            problem, motion, fold, standing, sampler, length, rows, scores, r
-        )
+        fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
+        moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T
+        sums: dict[tuple[int, int], tuple[Array, Array]] = {}
+        for first, D, raw in (chunks or _chunks(sampler))(rows, motion):
+            if scores is not None and blocks is not None:
+                here = slice(
+                    first * sampler.factor, first * sampler.factor + raw.shape[1]
+                )
+                scores.add(blocks[r][here], raw, moves[:, here])
+            few = slice(first, first + D.shape[1])
+            moving = moves[:, :: sampler.factor][:, few].astype(float)
+            if not moving.all():
+                D *= np.repeat(moving, sizes, axis=0)
+            at = (first + np.arange(D.shape[1])) // length
+            _add(sums, D, moving, at, fold[:: sampler.factor][few])
         found += [(r, key[1], *x) for key, x in sorted(sums.items())]
     if not found:
         raise IdentificationError(
             "no usable sample: every one is masked, or no joint moves"
         )
-    recording, block_fold, products, counts = zip(*found, strict=True)
-    return CrossProducts(
-        problem,
-        np.array(products),
-        np.array(counts),
-        np.array(recording),
-        np.array(block_fold),
-        scores,
-    )
+    recording, block_fold, products, counts = map(np.array, zip(*found, strict=True))
+    return Sums(rows, products, counts, recording, block_fold, scores)
 
 
-def _one_motion(
-    problem: Problem,
-    motion: Motion,
+def _add(
+    sums: dict[tuple[int, int], tuple[Array, Array]],
+    D: Array,
+    moving: Array,
+    block: NDArray[np.intp],
     fold: NDArray[np.intp],
-    standing: Array,
-    sampler: Sampler,
-    length: int,
-    chunks: Chunks,
-    scores: Scores | None,
-    number: int,
-) -> dict[tuple[int, int], tuple[Array, Array]]:
-    """Sums and counts of one motion, by block in time and fold."""
-    sizes = np.diff(problem.offsets)
-    found: dict[tuple[int, int], tuple[Array, Array]] = {}
-    moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T.astype(float)
-    for first, D, raw in chunks:
-        if scores is not None:
-            here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
-            scores.add(number, here, raw, moves[:, here])
-        samples = slice(first, first + D.shape[1])
-        moving = moves[:, :: sampler.factor][:, samples]
-        if not moving.all():
-            D *= np.repeat(moving, sizes, axis=0)
-        block = (first + np.arange(D.shape[1])) // length
-        fold_here = fold[:: sampler.factor][samples]
-        for start, stop in runs_of(block, fold_here):
-            rows, moves_here = D[:, start:stop], moving[:, start:stop]
-            if not moves_here.any():
-                continue
-            key = int(block[start]), int(fold_here[start])
-            sums, counts = found.get(key, (0.0, 0.0))
-            found[key] = sums + rows @ rows.T, counts + moves_here @ moves_here.T
-    return found
+) -> None:
+    """Add products and counts of some samples, by block and fold."""
+    for start, stop in runs_of(block, fold):
+        part, moves = D[:, start:stop], moving[:, start:stop]
+        if moves.any():
+            key = int(block[start]), int(fold[start])
+            products, counts = sums.get(key, (0.0, 0.0))
+            sums[key] = products + part @ part.T, counts + moves @ moves.T
 
 
-def _uncached_chunks(problem: Problem, motion: Motion, sampler: Sampler) -> Chunks:
-    return sampled_chunks(
-        lambda samples: problem.rows(part(motion, samples)), len(motion.t), sampler
+def _chunks(sampler: Sampler) -> Callable[[Rows, Motion], Chunks]:
+    return lambda rows, motion: sampled_chunks(
+        lambda samples: rows.along(part(motion, samples)), len(motion.t), sampler
     )
 
 

@@ -109,15 +109,14 @@ def with_uncertainty(
             set to zero. The covariance then includes the uncertainty of that choice.
     """
     A, _ = products.normal(found.weight)
-    condition, undetermined = _excitation(A)
     covariance, degrees = _covariance(complete or products, found, prior)
     return Estimate(
         **vars(found),
         covariance=covariance,
         sigma=residual_covariance(products, found.theta),
-        condition=condition,
+        condition=condition_number(A),
         degrees=degrees,
-        undetermined=undetermined,
+        undetermined=_undetermined(A),
         held=_held(A, prior),
     )
 
@@ -130,12 +129,15 @@ def _held(A: Array, prior: Prior | None) -> tuple[int, ...]:
     return tuple(int(k) for k in np.flatnonzero(influence < 0.5))
 
 
-def _excitation(A: Array) -> tuple[float, tuple[int, ...]]:
-    """Condition number of the scaled columns, and the undetermined unknowns."""
+def condition_number(A: Array) -> float:
+    """Condition number of the columns of a normal matrix, scaled to unit length."""
     values = np.clip(np.linalg.eigvalsh(unit_columns(A)[0]), 0.0, None)
-    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300)))
+    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
+
+
+def _undetermined(A: Array) -> tuple[int, ...]:
     share = (weak_directions(A, np.sqrt(RANK)) ** 2).sum(axis=1)
-    return condition, tuple(int(k) for k in np.flatnonzero(share > 0.01))
+    return tuple(int(k) for k in np.flatnonzero(share > 0.01))
 
 
 def weak_directions(A: Array, weakest: float) -> Array:
@@ -197,7 +199,7 @@ def _block_gradients(products: CrossProducts, theta: Array, weight: Array) -> Ar
     moments = products.blocks @ (C @ weight)  # (B, P, n)
     found = np.zeros((len(moments), problem.size))
     for i, support in enumerate(problem.support):
-        start = problem.offsets[i]
+        start = products.rows.offsets[i]
         found[:, support] += moments[:, start : start + len(support), i]
     return found
 

@@ -28,7 +28,8 @@ _ROUNDING = 1e-12  # variance that is rounding error, as a share of the torque's
 _TOLERANCE = 1e-6  # relative change of the unknowns at which the iteration ends
 _MOST_ITERATIONS = 60
 _FULL_RANK = 1e-5  # smallest diagonal of a Cholesky factor that proves full rank
-_MOST_CHANGES = 4  # of the active set, for each unknown
+_MOST_CHANGES = 4  # of the bounds that hold, for each unknown
+_PATIENCE = 3  # steps in which as many unknowns are on the wrong side
 OUTLYING = 3.0  # of the median misfit of a block: above it, a block counts less
 
 
@@ -93,7 +94,6 @@ def without_folds(
     bounded: bool = False,
     prior: Prior | None = None,
     optimum: Callable[[Array, Array], Array] | None = None,
-    folds: int = 0,
     share: Array | None = None,
 ) -> Array:
     """Solutions that each leave one fold out, at given weights, shape (F, p).
@@ -105,24 +105,18 @@ def without_folds(
         prior: Prior of the unknowns.
         optimum: Function from a normal matrix and its right side to the unknowns, shape
             (p,); plain or bounded least squares by default.
-        folds: Number of folds, if the last ones may have no sample.
         share: Weight of each block, from 0 to 1, shape (B,); all 1 by default.
     """
     if optimum is None:
         optimum = partial(_optimum, lower=products.problem.lower if bounded else None)
-    found = []
     if share is None or share.min() == 1.0:
-        sums, total = products.folds, products.total
+        sums = products.folds
     else:
         sums = products.weighted(share)
-        total = sums.sum(axis=0)
-    for fold in range(folds or len(sums)):
-        left_out = sums[fold] if fold < len(sums) else 0.0
-        A, b = products.normal(weight, total - left_out)
-        if prior is not None:
-            A, b = A + prior.precision, b + prior.pull
-        found.append(optimum(A, b))
-    return np.array(found)
+    A, b = products.normal(weight, sums.sum(axis=0) - sums)
+    if prior is not None:
+        A, b = A + prior.precision, b + prior.pull
+    return np.array([optimum(*x) for x in zip(A, b, strict=True)])
 
 
 def _step(
@@ -139,10 +133,7 @@ def _step(
 
 
 def _optimum(A: Array, b: Array, lower: Array | None) -> Array:
-    theta = pseudo_solve(A, b)
-    if lower is not None and np.any(theta < lower):
-        theta = _bounded_solve(A, b, lower)
-    return theta
+    return pseudo_solve(A, b) if lower is None else _bounded_solve(A, b, lower)
 
 
 def unit_columns(A: Array) -> tuple[Array, Array]:
@@ -153,46 +144,46 @@ def unit_columns(A: Array) -> tuple[Array, Array]:
 
 
 def pseudo_solve(A: Array, b: Array) -> Array:
-    """Minimum-norm solution of normal equations in scaled columns, shape (p,)."""
+    """Minimum-norm solution of normal equations in scaled columns, the shape of b.
+
+    Args:
+        A: Normal matrix, shape (p, p).
+        b: Right sides, shape (p,) or (p, any number).
+    """
     scaled, size = unit_columns(A)
     factor, fails = dpotrf(scaled, lower=1)
     if not fails and np.diag(factor).min() > _FULL_RANK:
-        found, _ = dpotrs(factor, b / size, lower=1)
-        return np.asarray(found / size)
+        found, _ = dpotrs(factor, (b.T / size).T, lower=1)
+        return np.asarray((found.T / size).T)
     return np.asarray(pseudo_inverse(A) @ b)
 
 
 def _bounded_solve(A: Array, b: Array, lower: Array) -> Array:
-    """Minimise ½ θᵀAθ − bᵀθ with lower bounds, by the active-set method.
+    """Minimise ½ θᵀAθ − bᵀθ with lower bounds, by block principal pivoting.
 
-    Source: Nocedal and Wright 2006, doi 10.1007/978-0-387-40065-5, section 16.5.
+    All unknowns on the wrong side change sides at once; only the last one does where
+    that has not made them fewer for some steps.
+
+    Source: Júdice and Pires 1994, doi 10.1016/0305-0548(94)90106-6.
     """
     held = np.zeros(len(b), dtype=bool)
-    theta = np.maximum(lower, 0.0)
+    least = _TOLERANCE * np.abs(b)
+    fewest, patience = len(b) + 1, _PATIENCE
     for _ in range(_MOST_CHANGES * len(b)):
-        free = ~held
-        target = theta.copy()
+        free, theta = ~held, np.where(held, lower, 0.0)
         if free.any():
-            target[free] = pseudo_solve(
-                A[np.ix_(free, free)], b[free] - A[np.ix_(free, held)] @ theta[held]
-            )
-        step = target - theta
-        below = free & (target < lower)
-        if below.any():  # go to the first bound on the way, and hold that unknown
-            share = np.ones_like(theta)
-            share[below] = (lower - theta)[below] / step[below]
-            first = int(np.argmin(share))
-            theta = theta + share[first] * step
-            theta[first], held[first] = lower[first], True
-            continue
-        theta = target
-        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        multiplier = np.where(held, A @ theta - b, np.inf) / size
-        worst = int(np.argmin(multiplier))
-        if multiplier[worst] >= -_TOLERANCE * np.abs(b[worst]) / size[worst]:
+            rest = b[free] - A[np.ix_(free, held)] @ theta[held]
+            theta[free] = pseudo_solve(A[np.ix_(free, free)], rest)
+        wrong = np.where(held, A @ theta - b < -least, theta < lower)
+        count = int(wrong.sum())
+        if not count:
             break
-        held[worst] = False
-    return theta
+        patience = _PATIENCE if count < fewest else patience - 1
+        fewest = min(fewest, count)
+        if patience < 0:
+            wrong[: np.flatnonzero(wrong)[-1]] = False
+        held ^= wrong
+    return np.maximum(theta, lower)
 
 
 def residual_covariance(products: CrossProducts, theta: Array) -> Array:
@@ -216,7 +207,7 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
     freedom = np.maximum(1.0, counts - products.problem.size / n)
     sigma = products.residual_products(theta, sums) / freedom
     # A difference of cross-products is uncertain by their rounding errors.
-    torque = np.array(products.problem.offsets[1:]) - 1
+    torque = np.array(products.rows.offsets[1:]) - 1
     power = np.diag(sums)[torque] / np.diag(freedom)
     floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
     own = np.diag(np.clip(np.diag(sigma), 0.0, None) + floor)

@@ -6,7 +6,7 @@ inertial parameters, then the gains of the effects that can be identified.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.dynamics import (
     BaseParameters,
-    RigidBody,
     effect_gains,
-    regressor,
     rich_motion,
     stacked_base,
     stacked_columns,
 )
 from hybrid.effects import Effect
+from hybrid.regression.rows import Rows
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
@@ -58,7 +57,7 @@ class Problem:
     @property
     def rigid(self) -> NDArray[np.intp]:
         """Indices of the base inertial parameters among the unknowns."""
-        return np.arange(len(self.links))
+        return np.arange(self.size - len(self.gains))
 
     @cached_property
     def gains(self) -> tuple[tuple[int, int, int], ...]:
@@ -93,38 +92,14 @@ class Problem:
         return tuple(np.flatnonzero(row > _WEIGHTLESS * row.max()) for row in size)
 
     @cached_property
-    def offsets(self) -> tuple[int, ...]:
-        """First row of each joint in :meth:`rows`, then the number of rows."""
-        sizes = [len(s) + 1 for s in self.support]
-        return (0, *np.cumsum(sizes).tolist())
-
-    @cached_property
-    def links(self) -> tuple[int, ...]:
-        """Columns of the base inertial parameters among all 10n, c of them."""
-        return tuple(c for c in self.base.kept if c < 10 * self.chain.size)
-
-    @cached_property
-    def link_rows(self) -> tuple[slice, ...]:
-        """Those of :meth:`rows` that hold link columns, for each joint."""
-        counts = [int((s < len(self.links)).sum()) for s in self.support]
-        pairs = zip(self.offsets, counts, strict=False)
-        return tuple(slice(start, start + count) for start, count in pairs)
-
-    @cached_property
-    def other_rows(self) -> tuple[slice, ...]:
-        """Those of :meth:`rows` that hold effect columns and torque, for each joint."""
-        pairs = zip(self.link_rows, self.offsets[1:], strict=True)
-        return tuple(slice(links.stop, end) for links, end in pairs)
-
-    @property
-    def changes_signals(self) -> bool:
-        """Whether an effect changes the signals on which the link columns depend."""
-        return any(e.changes_signals for e in self.effects)
-
-    def equals(self, other: Problem) -> bool:
-        """Whether another problem has the same unknowns and columns."""
-        mine, its = ((p.effects, p.columns, p.base.kept) for p in (self, other))
-        return mine == its and np.array_equal(self.inertial, other.inertial)
+    def rows(self) -> Rows:
+        """Columns of each joint in the order of :attr:`support`, and its torque."""
+        rigid, links, gains = 10 * self.chain.size, [], []
+        for support in self.support:
+            kept = [self.base.kept[u] for u in support]
+            links.append(tuple(c for c in kept if c < rigid))
+            gains.append(tuple(self.columns[c - rigid] for c in kept if c >= rigid))
+        return Rows(self.chain, self.effects, self.inertial, tuple(links), tuple(gains))
 
     def complete(self) -> Problem:
         """The same problem with all gains of its effects; those added come last."""
@@ -134,59 +109,6 @@ class Problem:
         columns = (*self.columns, *sorted(added))
         base = stacked_base(self.chain, self.effects, columns)
         return replace(self, base=base, columns=columns)
-
-    def link_columns(self, motion: Motion) -> Array:
-        """Columns of :attr:`links` along a motion, shape (n, c, N)."""
-        Y = regressor(self.chain, motion.q, motion.v, motion.a, self.links)
-        return Y.transpose(1, 2, 0)
-
-    def rows(
-        self,
-        motion: Motion,
-        links: Array | None = None,
-        body: RigidBody | None = None,
-    ) -> Array:
-        """Columns of every joint, each followed by its torque, at full rate.
-
-        Args:
-            motion: N samples of motion and torque.
-            links: Result of :meth:`link_columns`, if it was computed before.
-            body: The rigid body along the motion, if it was computed before.
-
-        Returns:
-            Rows, shape (P, N). Those from ``offsets[i]`` hold the columns of joint i
-            in the order of ``support[i]``, then its measured torque.
-        """
-        tau = motion.tau
-        body = body or RigidBody(self.chain, motion, self.inertial)
-        for effect in self.effects:
-            if effect.observes:
-                motion = effect.observe(motion, body)
-                body = RigidBody(self.chain, motion, self.inertial)
-        out = np.empty((self.offsets[-1], len(motion.t)))
-        links = self.link_columns(motion) if links is None else links
-        effects = dict(self._effect_columns(motion, body))
-        rows = self.link_rows, self.other_rows
-        for i, (mine, others) in enumerate(zip(*rows, strict=True)):
-            which = np.split(self.support[i], [mine.stop - mine.start])
-            # mode="raise" would copy these rows twice.
-            np.take(links[i], which[0], axis=0, out=out[mine], mode="clip")
-            for row, unknown in enumerate(which[1], mine.stop):
-                out[row] = effects[self.base.kept[unknown], i]
-            out[others.stop - 1] = tau[:, i]
-            for effect in self.effects:
-                if effect.reports and i in effect.joints:
-                    part = out[mine.start : others.stop - 1]
-                    part[...] = effect.report(motion.t, part.T).T
-        return out
-
-    def _effect_columns(
-        self, motion: Motion, body: RigidBody
-    ) -> Iterator[tuple[tuple[int, int], Array]]:
-        values = [effect.columns(motion, body) for effect in self.effects]
-        for column, (e, g) in enumerate(self.columns, 10 * self.chain.size):
-            for at, joint in enumerate(self.effects[e].reaches(self.chain.size)):
-                yield (column, joint), values[e][:, at, g]
 
     def fitted(self, theta: Array) -> tuple[BaseParameters, tuple[Effect, ...]]:
         """Base parameters and effects with the values of a solution.

@@ -3,66 +3,82 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.regression.problem import Problem
 
 
+@dataclass(frozen=True)
 class Scores:
     """Sums of products of the unfiltered rows of each joint, over scoring blocks.
 
-    Args:
-        problem: Unknowns and layout of the rows.
-        blocks: Block of every sample, in one fold each, shape (N,) for each motion.
-        folds: Fold of every sample, shape (N,) for each motion.
+    Attributes:
+        sums: Rows times rows transposed of each joint, summed over each block, shape
+            (B, d, d) each.
+        fold: Cross-validation fold of each block, shape (B,).
     """
 
-    def __init__(
-        self,
-        problem: Problem,
+    sums: tuple[Array, ...]
+    fold: NDArray[np.intp]
+
+    @classmethod
+    def empty(
+        cls,
+        sizes: Sequence[int],
         blocks: Sequence[NDArray[np.intp]],
         folds: Sequence[NDArray[np.intp]],
-    ) -> None:
-        self._problem, self._blocks = problem, blocks
-        label, first = np.unique(np.concatenate(blocks), return_index=True)
-        count, sizes = 1 + int(label.max()), np.diff(problem.offsets)
-        self._fold = np.zeros(count, dtype=np.intp)
-        self._fold[label] = np.concatenate(folds)[first]
-        self._sums = [np.zeros((count, size, size)) for size in sizes]
-
-    def add(self, r: int, here: slice, D: Array, moving: Array) -> None:
-        """Add rows of some samples of motion r.
+    ) -> Self:
+        """Sums of nothing.
 
         Args:
-            r: Index of the motion.
-            here: The samples.
-            D: Their rows, shape (P, N); set to zero in place where the joint stands.
-            moving: One where a joint moves, else zero, shape (n, N).
+            sizes: Number of rows of each joint.
+            blocks: Block of every sample, in one fold each, shape (N,) for each motion.
+            folds: Fold of every sample, shape (N,) for each motion.
         """
-        label = self._blocks[r][here]
-        runs, offsets = runs_of(label), self._problem.offsets
-        for i, sums in enumerate(self._sums):
-            own = D[offsets[i] : offsets[i + 1]]
-            own *= moving[i]
-            for start, stop in runs:
-                part = own[:, start:stop]
-                sums[label[start]] += part @ part.T
+        label, first = np.unique(np.concatenate(blocks), return_index=True)
+        count = 1 + int(label.max())
+        fold = np.zeros(count, dtype=np.intp)
+        fold[label] = np.concatenate(folds)[first]
+        return cls(tuple(np.zeros((count, d, d)) for d in sizes), fold)
 
-    def squares(self, theta: Array) -> Array:
+    def add(self, block: NDArray[np.intp], D: Array, moving: NDArray[np.bool_]) -> None:
+        """Add rows of some samples.
+
+        Args:
+            block: Block of each sample, shape (N,).
+            D: Rows of all joints, shape (P, N).
+            moving: Whether each joint moves; it does not count where it stands, (n, N).
+        """
+        first = 0
+        for sums, moves in zip(self.sums, moving, strict=True):
+            own = D[first : first + sums.shape[1]]
+            first += len(own)
+            for start, stop in runs_of(block, moves.astype(int)):
+                if moves[start]:
+                    part = own[:, start:stop]
+                    sums[block[start]] += part @ part.T
+
+    def of(self, places: Sequence[NDArray[np.intp]]) -> Scores:
+        """Those of some rows of each joint, by their places among its own."""
+        pairs = zip(self.sums, places, strict=True)
+        return Scores(tuple(x[:, at[:, None], at] for x, at in pairs), self.fold)
+
+    def squares(self, theta: Array, support: Sequence[NDArray[np.intp]]) -> Array:
         """Squared residuals of each block by the solution without its fold, (B, n).
 
         Args:
             theta: Solutions without each fold, shape (F, p).
+            support: Unknown of each row of a joint but the last, its torque.
         """
-        own = theta[self._fold]  # (B, p)
-        found = np.empty((len(own), len(self._sums)))
-        pairs = zip(self._sums, self._problem.support, strict=True)
-        for i, (sums, support) in enumerate(pairs):
-            c = np.concatenate([-own[:, support], np.ones((len(own), 1))], axis=1)
+        own = theta[self.fold]  # (B, p)
+        found = np.empty((len(own), len(self.sums)))
+        for i, (sums, used) in enumerate(zip(self.sums, support, strict=True)):
+            c = np.concatenate([-own[:, used], np.ones((len(own), 1))], axis=1)
             found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
         return np.maximum(found, 0.0)
 
