@@ -16,7 +16,7 @@ import numpy as np
 
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
-from hybrid.recording.formats.parquet import arrow_table, field_of
+from hybrid.recording.formats.parquet import arrow_table, check_parquet, field_of
 from hybrid.recording.table import LARGEST_FILE, LogTable, as_recording_error
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
@@ -40,6 +40,7 @@ def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
         raise RecordingError(
             f"{folder}: LeRobot dataset {version[:20]}; valid are {', '.join(VERSIONS)}"
         )
+    check_parquet(folder)
     files = sorted((folder / "data").rglob("*.parquet"))[:_MOST_FILES]
     if not files:
         raise RecordingError(f"{folder}: no Parquet files in data/")

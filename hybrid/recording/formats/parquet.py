@@ -1,8 +1,8 @@
-"""Read Parquet files, and tables in memory: pandas, polars, pyarrow, or a dict."""
+"""Read Parquet files, by pyarrow."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.formats.fields import (
-    FieldColumn,
-    field_table,
-    named_labels,
-    table_of_arrays,
-)
-from hybrid.recording.labels import is_time, split_unit
+from hybrid.extras import check_extra
+from hybrid.recording.formats.fields import FieldColumn, field_table, named_labels
 from hybrid.recording.table import (
     LARGEST_FILE,
     MOST_COLUMNS,
@@ -27,8 +22,14 @@ from hybrid.recording.table import (
 _LONGEST = 1000  # entries of a list that becomes columns
 
 
+def check_parquet(path: Path) -> None:
+    """Refuse a file that needs pyarrow where it is not installed."""
+    check_extra("pyarrow", "parquet", f"{path}: Parquet")
+
+
 def read_parquet(path: Path) -> list[tuple[LogTable]]:
     """Read a table with a column for each channel of each joint, or with lists."""
+    check_parquet(path)
     from pyarrow import parquet
 
     source = str(path)
@@ -69,36 +70,6 @@ def arrow_table(
         lambda names: {name: field_of(table, name, source) for name in names},
         **more,
     )
-
-
-def table_of_frame(frame: Any) -> LogTable:
-    """Read a table by Arrow's protocol or the interchange protocol."""
-    if isinstance(frame, Mapping):
-        arrays = {str(label): np.asarray(x) for label, x in frame.items()}
-        return table_of_arrays(arrays, "table", kind="dict of arrays")
-    import pyarrow as pa
-    from pyarrow.interchange import from_dataframe
-
-    if hasattr(frame, "index") and hasattr(frame, "reset_index"):
-        frame = _with_index(frame)
-    try:
-        plain = isinstance(frame, pa.Table) or hasattr(frame, "__arrow_c_stream__")
-        table = pa.table(frame) if plain else from_dataframe(frame)
-    except (AttributeError, TypeError, ValueError, pa.ArrowException) as error:
-        raise RecordingError(
-            f"table: {type(frame).__name__} is no table; valid are tables of pandas, "
-            "polars and pyarrow, and a dict of arrays"
-        ) from error
-    return arrow_table(table, "table", kind=type(frame).__module__.split(".")[0])
-
-
-def _with_index(frame: Any) -> Any:
-    """Add the index of a pandas table as a column, if it holds times."""
-    name = str(frame.index.name or "")
-    if np.asarray(frame.index[:0]).dtype.kind == "M":
-        return frame.rename_axis(name if is_time(name) else "time").reset_index()
-    timed = bool(name) and is_time(split_unit(name)[0])
-    return frame.reset_index(drop=not timed)
 
 
 def _is_list(kind: Any) -> bool:
