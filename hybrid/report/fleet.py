@@ -16,7 +16,7 @@ from scipy.stats import median_abs_deviation
 from hybrid.files import atomic_path
 from hybrid.fleets import Fleet, State
 from hybrid.fleets.changes import MONTH, Change
-from hybrid.names import figure_text, file_stem
+from hybrid.names import figure_text, file_stems
 from hybrid.report.page import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, RED, new_figure, panels
 from hybrid.report.table import Table
@@ -223,7 +223,8 @@ def write_fleet_pages(
     named = dict.fromkeys(x.arm for x in fleet.alarms)
     named |= dict.fromkeys(x.arm for x in fleet.states if x.unlike)
     named |= dict.fromkeys(arm for arm, _ in fleet.diagnoses)
-    pages = {arm: f"arms/{file_stem(arm)}.html" for arm in list(named)[:_MOST_PAGES]}
+    stems = file_stems(list(named)[:_MOST_PAGES])
+    pages = {arm: f"arms/{stem}.html" for arm, stem in stems.items()}
     (folder / "arms").mkdir(parents=True, exist_ok=True)
     for arm, page in pages.items():
         own = [x for x in fleet.states if x.arm == arm]
