@@ -54,8 +54,6 @@ def write_columns(path: str | Path, columns: Columns) -> None:
     """
     path = Path(path)
     writer = writer_of(path)
-    if writer is _write_parquet:
-        check_parquet(path)
     with atomic_path(path) as temporary:
         writer(columns, temporary)
 
@@ -66,6 +64,8 @@ def writer_of(path: Path) -> Callable[[Columns, Path], None]:
         raise RecordingError(
             f"{path}: unknown kind of file; valid are {', '.join(WRITERS)}"
         )
+    if path.suffix.lower() == ".parquet":
+        check_parquet(path)
     return WRITERS[path.suffix.lower()]
 
 
