@@ -71,7 +71,9 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
     }
 
 
-def thin(x: Array, curves: Sequence[Array], rows: Index) -> list[list[float | None]]:
+def thin(
+    x: Array, curves: Sequence[Array], rows: Index, most: int = MOST_POINTS
+) -> list[list[float | None]]:
     """Reduce curves to their ends and the lowest and highest point of each interval.
 
     ``None`` breaks the lines where samples are missing.
@@ -80,13 +82,14 @@ def thin(x: Array, curves: Sequence[Array], rows: Index) -> list[list[float | No
         x: Abscissa, shape (N,).
         curves: Ordinates, each of shape (N,).
         rows: Index of each sample in the gap, shape (N,).
+        most: Largest number of points of a curve.
 
     Returns:
         The abscissa and each ordinate, at the same points.
     """
     kept = np.arange(len(x))
-    if len(x) > MOST_POINTS:
-        edges = np.linspace(0, len(x), MOST_POINTS // 2).astype(int)
+    if len(x) > most:
+        edges = np.linspace(0, len(x), most // 2).astype(int)
         ends = [*zip(edges[:-1], edges[1:], strict=True)]
         pairs = [
             (a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends for y in curves
