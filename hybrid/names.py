@@ -7,6 +7,7 @@ writer calls the function here for its kind of output.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 LONGEST = 128  # characters of a name
 _LONGEST_STEM = 48  # characters; with four bytes each they still fit into a file name
@@ -44,6 +45,21 @@ def file_stem(name: str) -> str:
     """File name without suffix: no separator, no leading dot, never empty."""
     stem = re.sub(r"[^\w.-]", "_", name).lstrip(".-")[:_LONGEST_STEM].rstrip(".")
     return f"{stem or 'arm'}{'_' if _DEVICES.fullmatch(stem) else ''}"
+
+
+def file_stems(names: Iterable[str]) -> dict[str, str]:
+    """File name without suffix for each name, all different on disks of any kind."""
+    found: dict[str, str] = {}
+    taken: set[str] = set()  # some disks do not tell capitals from small letters
+    for name in names:
+        stem = first = file_stem(name)
+        again = 1
+        while stem.casefold() in taken:
+            again += 1
+            stem = f"{first}_{again}"
+        found[name] = stem
+        taken.add(stem.casefold())
+    return found
 
 
 def c_identifier(name: str) -> str:

@@ -74,12 +74,12 @@ def test_distances_keep_the_order_of_their_stations(tmp_path):
         ("q1,q2,x,y,z,qx,qy,qz,qw", "0,0,1,2,3,0,0,0,0", "quaternion of length zero"),
         ("q1,q2,x,y,z,foo", "0,0,1,2,3,4", "unknown column foo; valid are"),
         ("q1,q2,x [inch],y,z", "0,0,1,2,3", "is in inch; valid are m, mm, rad"),
-        ("q1,q2,x,y,z", "0,0,1,2", "pose 1 has 4 cells, valid are 5"),
-        ("q1,q2,x,y,z", "0,0,one,2,3", "x, pose 1: 'one' is not a number"),
+        ("q1,q2,x,y,z", "0,0,1,2", "row 1 .* has 4 cells; valid are 5"),
+        ("q1,q2,x,y,z", "0,0,one,2,3", "x, row 1 .*: 'one' is not a number"),
         ("q1,q2,x,y,z", ",0,1,2,3", "pose 1 has a joint position that is no number"),
         ("q1,q2,x,x,z", "0,0,1,2,3", "two columns 'x'"),
         ("q1,q2,x,y,z,distance", "0,0,1,2,3,4", "points or distances, not both"),
-        ("q1,q2,x,y,z", "", "holds no poses"),
+        ("q1,q2,x,y,z", "", "no rows below the column names"),
     ],
 )
 def test_bad_files_are_refused_in_one_line(tmp_path, header, row, message):

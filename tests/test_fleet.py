@@ -283,7 +283,7 @@ def test_a_plan_that_is_not_valid_is_refused_in_one_line(content, line):
         plan_from_dict(content)
 
 
-@pytest.mark.parametrize("library", ["distributed", "fsspec"])
+@pytest.mark.parametrize("library", ["distributed", "fsspec", "pyarrow"])
 def test_without_the_extra_one_line_says_what_to_install(
     library, tmp_path, capsys, monkeypatch
 ):

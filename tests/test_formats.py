@@ -5,6 +5,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -12,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pyarrow import parquet
 
-from hybrid.errors import HybridWarning, RecordingError
-from hybrid.recording import Recording, read, read_all, write
+from hybrid.errors import HybridError, HybridWarning, RecordingError
+from hybrid.recording import Recording, read, read_all, recording_from_table, write
 from hybrid.recording.labels import parse_label
 
 # import_module, because the package exports the function of the same name
@@ -333,3 +334,32 @@ def test_dates_of_any_zone_are_a_clock(tmp_path, zone):
     found = read(tmp_path / "log.csv")
     np.testing.assert_allclose(found.t - found.t[0], np.arange(50) / 100, atol=1e-6)
     np.testing.assert_allclose(found.q[:, 0], np.arange(50) / 7)
+
+
+def test_without_pyarrow_parquet_alone_is_refused_and_the_line_names_its_extra(
+    tmp_path, monkeypatch
+):
+    write(log(), tmp_path / "log.parquet")
+    monkeypatch.setattr("hybrid.extras.find_spec", lambda name: None)
+    for call in (read, lambda path: write(log(), path)):
+        with pytest.raises(HybridError, match=r"pip install 'hybrid-arm\[parquet\]'$"):
+            call(tmp_path / "log.parquet")
+    write(log(), tmp_path / "log.csv")
+    assert read(tmp_path / "log.csv") == log()
+
+
+def test_dates_of_any_zone_in_text_are_one_clock(tmp_path):
+    rows = ["2026-01-05 10:00:00Z,1,2", "2026-01-05T11:00:00.25+01:00,2,3"]
+    (tmp_path / "log.csv").write_text("\n".join(["time,q1,tau1", *rows]))
+    assert np.diff(read(tmp_path / "log.csv").t).tolist() == [0.25]
+
+
+def test_a_frame_of_pandas_may_have_zones_and_lists():
+    dates = pd.to_datetime([0, 250], unit="ms", utc=True)
+    lists = {"time": dates, "q": [[1.0, 2.0], [3.0, 4.0]], "tau": [[5, 6], [7, 8]]}
+    recording = recording_from_table(pd.DataFrame(lists))
+    assert np.diff(recording.t).tolist() == [0.25]
+    assert recording.q.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    ragged = pd.DataFrame(lists | {"q": [[1.0], [3.0, 4.0]]})
+    with pytest.raises(RecordingError, match="lists of 'q' of many lengths"):
+        recording_from_table(ragged)

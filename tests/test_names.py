@@ -30,6 +30,7 @@ from hybrid.names import (
     c_comment,
     c_identifier,
     file_stem,
+    file_stems,
     markdown,
     name_fault,
     printable,
@@ -265,3 +266,9 @@ def test_a_comment_at_the_top_of_a_simulator_ends_where_it_should():
     for name in HOSTILE:
         text = f"<a><!-- {xml_comment(name)} --></a>"
         assert len(ElementTree.fromstring(text)) == 0
+
+
+@given(names=st.lists(NAMES, unique=True, max_size=12))
+def test_files_of_different_names_differ_on_disks_without_capitals(names):
+    stems = file_stems([*names, "a/1", "A_1", "a_1", "a_1_3"])
+    assert len({x.casefold() for x in stems.values()}) == len(stems)

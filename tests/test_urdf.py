@@ -285,3 +285,14 @@ def test_a_shape_that_is_gone_or_without_end_is_refused(tmp_path, shape, reason)
     path.write_text(text)
     with pytest.raises(RobotError, match=reason):
         capsules_from_robot(Robot.load(path))
+
+
+def test_friction_or_a_rotor_below_zero_is_warned_of(tmp_path):
+    inner = "<dynamics damping='-0.5' friction='0.1'/>"
+    path = tmp_path / "arm.urdf"
+    path.write_text(robot_of(A, B, joint("j", "a", "b", inner=inner)))
+    with pytest.warns(
+        HybridWarning, match="damping of joint 'j' is -0.5, which drives"
+    ):
+        robot = Robot.load(path)
+    assert robot.damping.tolist() == [-0.5]

@@ -10,8 +10,13 @@ from simulated import arm, quiet
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
-from hybrid.errors import IdentificationError, ModelFileError, RecordingError
-from hybrid.identification import identify, predict, validate
+from hybrid.errors import (
+    HybridWarning,
+    IdentificationError,
+    ModelFileError,
+    RecordingError,
+)
+from hybrid.identification import DynamicModel, identify, predict, validate
 from hybrid.identification.validation import noise_floor
 from hybrid.plant import simulate
 from hybrid.signals import Sampler, motion_from_recording
@@ -35,6 +40,14 @@ def test_rows_go_from_the_plainest_model_to_the_fullest(fit, logs):
     assert found.joints == ("shoulder", "elbow") and found.robot == "planar"
     better = min(found.rows[0].mean, found.rows[1].mean)
     assert found.reduction == 1 - found.rows[-1].mean / better
+
+
+def test_a_log_that_the_model_was_identified_from_is_no_validation(fit, logs, tmp_path):
+    fit.model.save(tmp_path / "model.json")
+    loaded = DynamicModel.load(tmp_path / "model.json")
+    with pytest.warns(HybridWarning, match=f"{logs[2].source}: .* this is no valid"):
+        validate(loaded, [logs[2], logs[3]])
+    validate(loaded, [replace(logs[2], tau=1.1 * logs[2].tau), logs[3]])
 
 
 def test_scores_are_those_of_predicted_and_measured_torque(fit, logs):
@@ -116,7 +129,7 @@ def test_a_slow_log_has_no_noise_floor(fit, logs):
 
 
 def test_the_results_are_plain_json(fit, logs):
-    found = validate(fit.model, logs[2:])
+    found = validate(fit.model, logs[3:])
     content = json.loads(json.dumps(found.as_dict()))
     assert content["joints"] == ["shoulder", "elbow"]
     assert [row["name"] for row in content["rows"]] == [r.name for r in found.rows]
@@ -126,7 +139,7 @@ def test_the_results_are_plain_json(fit, logs):
         assert row["mean"] == expected.mean
     assert content["reduction"] == found.reduction
     assert content["samples"] == found.samples and content["seconds"] == found.seconds
-    assert len(content["sources"]) == 2
+    assert len(content["sources"]) == 1
 
 
 def test_prediction_needs_no_torque_of_the_log(fit, logs):

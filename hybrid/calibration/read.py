@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +10,8 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.calibration.measurements import Measurements
-from hybrid.errors import CalibrationError
+from hybrid.errors import CalibrationError, RecordingError
+from hybrid.recording.formats.csv import read_csv
 
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 _SCALE = {
@@ -43,7 +43,7 @@ def read_measurements(path: str | Path, joints: Sequence[str]) -> Measurements:
     An empty cell, or nan, means that the value was not measured.
 
     Args:
-        path: File; comma, semicolon or tab between cells, decimal point.
+        path: File, see :func:`~hybrid.recording.formats.csv.read_csv`.
         joints: Joint names, base to tip.
 
     Raises:
@@ -82,31 +82,16 @@ def read_measurements(path: str | Path, joints: Sequence[str]) -> Measurements:
 def _columns(path: Path) -> dict[str, Array]:
     """Columns in SI units by their name in lower case, without the unit."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: not UTF-8 text") from error
-    lines = text.splitlines()
-    first = lines[0] if lines else ""
-    rows = list(csv.reader(lines, delimiter=max(",;\t", key=first.count)))
-    labels = [label.strip() for label in rows[0]] if rows else []
-    cells = [[x.strip() for x in row] for row in rows[1:]]
-    cells = [row for row in cells if any(row)]
-    if not cells:
-        raise CalibrationError(f"{path}: holds no poses; {VALID}")
-    for k, row in enumerate(cells):
-        if len(row) != len(labels):
-            raise CalibrationError(
-                f"{path}: pose {k + 1} has {len(row)} cells, valid are {len(labels)}"
-            )
+        ((table,),) = read_csv(path)
+        cells = table.load(tuple(range(len(table.labels))))[0]
+    except RecordingError as error:
+        raise CalibrationError(str(error)) from error
     columns: dict[str, Array] = {}
-    for k, label in enumerate(labels):
-        name, scale = _name(label, path)
+    for k, label in enumerate(table.labels):
+        name, scale = _name(label.strip(), path)
         if name in columns:
             raise CalibrationError(f"{path}: two columns {name!r}")
-        values = [_number(row[k], label, i, path) for i, row in enumerate(cells)]
-        columns[name] = scale * np.array(values)
+        columns[name] = scale * np.asarray(cells[k], dtype=float)
     return columns
 
 
@@ -118,15 +103,6 @@ def _name(label: str, path: Path) -> tuple[str, float]:
             f"{path}: column {label!r} is in {unit}; valid are m, mm, rad and deg"
         )
     return (label[: match.start()] if match else label).strip().lower(), _SCALE[unit]
-
-
-def _number(cell: str, label: str, row: int, path: Path) -> float:
-    try:
-        return float(cell) if cell else np.nan
-    except ValueError:
-        raise CalibrationError(
-            f"{path}: {label}, pose {row + 1}: {cell!r} is not a number"
-        ) from None
 
 
 def _joint(

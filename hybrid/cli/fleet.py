@@ -53,14 +53,7 @@ def run(args: Namespace, screen: Screen) -> None:
     """Run the fleet, write and show."""
     from hybrid.fleets import fleet
     from hybrid.fleets.plan import read_plan
-    from hybrid.report.fleet import (
-        alarms_table,
-        diagnoses_table,
-        lead_sentence,
-        refused_table,
-        unlike_table,
-        write_fleet_pages,
-    )
+    from hybrid.report.fleet import fleet_tables, lead_sentence, write_fleet_pages
 
     plan = read_plan(args.plan, robot=args.robot)
     args.inputs += [args.plan] if args.plan.is_file() else []
@@ -75,21 +68,13 @@ def run(args: Namespace, screen: Screen) -> None:
         )
         tell("writing the report")
         page = write_fleet_pages(args.out, found, provenance=how)
-    tables = {
-        "alarms": alarms_table(found),
-        "unlike": unlike_table(found),
-        "refused": refused_table(found),
-        "diagnoses": diagnoses_table(found),
-    }
+    tables = fleet_tables(found)
     content = {
-        "arm_months": found.arm_months,
-        "shared": list(found.shared),
-        **{
-            name: [dict(zip(x.header, row, strict=True)) for row in x.rows]
-            for name, x in tables.items()
-        },
+        name: [dict(zip(x.header, row, strict=True)) for row in x.rows]
+        for name, x in tables.items()
     }
-    options.write_record(args, how, content)
+    whole = {"arm_months": found.arm_months, "shared": list(found.shared)}
+    options.write_record(args, how, whole | content)
     for table in tables.values():
         if table.rows:
             screen.show_words(table.filled())

@@ -55,9 +55,11 @@ def run(args: Namespace, screen: Screen) -> None:
         recording_paths,
         write_run,
     )
+    from hybrid.recording.write import writer_of
 
     suffix = f".{args.format}"
     paths = recording_paths(args.out, args.trajectories, suffix)
+    writer_of(paths[0])  # refuses what cannot be written
     plant = options.load_plant(args)
     how = options.begin(args, [*paths, args.out / TRUTH])
     with screen.working(f"simulating {plant.robot.name}"):

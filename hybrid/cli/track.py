@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+
+if TYPE_CHECKING:
+    from hybrid.arrays import Array
+    from hybrid.online import OnlineIdentifier
+    from hybrid.recording import Recording
 
 HELP = """track the parameters of a model along a recording, sample by sample
 as a controller would, in one pass: base parameters, gains of the effects, payloads
@@ -45,13 +51,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Track, write and show."""
-    from time import perf_counter_ns
-
     import numpy as np
 
     from hybrid.inspect import inspect_recording
     from hybrid.inspect.doubt import raise_or_warn
-    from hybrid.online import OnlineIdentifier, Sample
+    from hybrid.online import OnlineIdentifier
     from hybrid.recording.write import write_columns, writer_of
 
     writer_of(args.out)
@@ -62,30 +66,17 @@ def run(args: Namespace, screen: Screen) -> None:
     # The tracker leaves wrong rows out, and says so; a wrong column it believes.
     doubts = inspect_recording(recording, model.robot).doubts
     raise_or_warn(doubts, recording.source, rows=False)
-    times, q, tau = recording.t, recording.q, recording.tau
     how = options.begin(args, [args.out])
-    rate, prior = recording.rate, args.prior
-    tracker = OnlineIdentifier.from_model(model, rate=rate, prior=prior)
-    every, rows, taken = max(1, round(rate / _PER_SECOND)), [], []
-    changes: list[dict[str, float]] = []
-    with screen.working(f"tracking {len(times):,} samples"):
-        for k, t in enumerate(times.tolist()):
-            start = perf_counter_ns()
-            change = tracker.update(Sample(t, q[k], tau[k]))
-            taken.append(perf_counter_ns() - start)
-            if change:
-                changes.append(vars(change) | {"mass": tracker.taken[0]})
-            elif changes and t < changes[-1]["t"] + _WEIGHED:
-                changes[-1]["mass"] = tracker.taken[0]
-            if k % every == 0:
-                rows.append(np.concatenate([[t], tracker.theta, tracker.error]))
+    tracker = OnlineIdentifier.from_model(model, rate=recording.rate, prior=args.prior)
+    with screen.working(f"tracking {len(recording.t):,} samples"):
+        rows, changes, taken = _tracked(tracker, recording)
     parameters = tracker.parameters
     names = ["time", *(p.name for p in parameters), *(f"error_{j}" for j in joints)]
     write_columns(args.out, dict(zip(names, np.array(rows).T, strict=True)))
     content = {
         "robot": model.robot.name,
         "joints": joints,
-        "samples": len(times),
+        "samples": len(recording.t),
         "health": vars(tracker.health),
         "changes": changes,
         "parameters": [p.as_dict() for p in parameters],
@@ -99,3 +90,36 @@ def run(args: Namespace, screen: Screen) -> None:
     screen.say(f"{len(parameters)} parameters, {len(rows):,} rows in {args.out}")
     for text in (tracker.health.summary, *tracker.health.problems):
         screen.say(text)
+
+
+def _tracked(
+    tracker: OnlineIdentifier, recording: Recording
+) -> tuple[list[Array], list[dict[str, float]], list[int]]:
+    """Give all samples to a tracker.
+
+    Returns:
+        Rows of time, parameters and errors, changes with their masses, and the time of
+        each update, [ns].
+    """
+    from time import perf_counter_ns
+
+    import numpy as np
+
+    from hybrid.online import Sample
+
+    every = max(1, round(recording.rate / _PER_SECOND))
+    rows: list[Array] = []
+    changes: list[dict[str, float]] = []
+    taken = []
+    samples = zip(recording.t.tolist(), recording.q, recording.tau, strict=True)
+    for k, (t, q, tau) in enumerate(samples):
+        start = perf_counter_ns()
+        change = tracker.update(Sample(t, q, tau))
+        taken.append(perf_counter_ns() - start)
+        if change:
+            changes.append(vars(change) | {"mass": tracker.taken[0]})
+        elif changes and t < changes[-1]["t"] + _WEIGHED:
+            changes[-1]["mass"] = tracker.taken[0]
+        if k % every == 0:
+            rows.append(np.concatenate([[t], tracker.theta, tracker.error]))
+    return rows, changes, taken

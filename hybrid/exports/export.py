@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from hybrid.arguments import MODEL, check_argument
 from hybrid.errors import HybridError
 from hybrid.exports.c_project import write_c
-from hybrid.exports.manifest import build_manifest, model_digest, seal
+from hybrid.exports.manifest import build_manifest, seal
 from hybrid.exports.onnx_graph import onnx_model
-from hybrid.exports.program import program_from_model
+from hybrid.exports.program import Program, program_from_model
 from hybrid.exports.simulator.model import model_simulator
 from hybrid.exports.simulator.snippets import isaac_lab, mjx_notes, write_ranges
 from hybrid.extras import check_extra
@@ -22,6 +23,13 @@ from hybrid.signals import Motion
 FORMATS = (
     "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
 )  # fmt: skip
+
+_PROGRAMS = "onnx", "torchscript", "c"
+# Package that a format needs, the extra that brings it, and what to call the format.
+_LIBRARIES = {
+    "onnx": ("onnx", "export", "ONNX"),
+    "torchscript": ("torch", "learn", "TorchScript"),
+}
 
 
 def export(
@@ -60,40 +68,59 @@ def export(
     check_argument(model, DynamicModel, MODEL)
     if format not in FORMATS:
         raise HybridError(f"no format {format!r}; valid are {', '.join(FORMATS)}")
-    if format == "onnx":
-        check_extra("onnx", "export", "ONNX")
-    if format == "torchscript":
-        check_extra("torch", "learn", "TorchScript")
-    digest = model_digest(model)
-    left_out: Sequence[str] = ()
-    memory: Sequence[str] = ()
+    if format in _LIBRARIES:
+        check_extra(*_LIBRARIES[format])
     stem = file_stem(model.robot.name)
     with atomic_folder(folder, lambda old, new: seal(manifest, new, old)) as hidden:
-        if format == "json":
-            model.save(hidden / "model.json")
-        elif format in ("mjcf", "urdf"):
-            edited = model_simulator(model, kind=format, motions=motions, folder=folder)
-            edited.write(hidden / f"{stem}.{'xml' if format == 'mjcf' else 'urdf'}")
-            left_out = edited.notes
-            left_out += tuple(mjx_notes(edited.robot)) if format == "mjcf" else ()
-        elif format == "isaaclab":
-            text, left_out = isaac_lab(model, motions)
-            (hidden / f"{stem}_isaaclab.py").write_text(text, encoding="utf-8")
-        elif format == "ranges":
-            left_out = write_ranges(model, hidden, stem)
+        program = program_from_model(model) if format in _PROGRAMS else None
+        if program is None:
+            left_out = _write_file(model, format, hidden / stem, motions, folder)
         else:
-            program = program_from_model(model)
-            left_out, memory = program.left_out, program.memory_names
+            left_out = program.left_out
         manifest = build_manifest(
-            model, format=format, digest=digest, left_out=left_out, memory=memory
+            model,
+            format=format,
+            left_out=left_out,
+            memory=() if program is None else program.memory_names,
         )
-        if format == "c":
-            write_c(model, program, digest, hidden)
-        elif format == "onnx":
-            content = onnx_model(program, manifest).SerializeToString()
-            (hidden / f"{stem}.onnx").write_bytes(content)
-        elif format == "torchscript":
-            from hybrid.exports.torch_module import write_torchscript  # loads torch
+        if program is not None:
+            _write_program(program, model, manifest, hidden / stem)
+    return left_out
 
-            write_torchscript(program, manifest, hidden / f"{stem}.pt")
-    return tuple(left_out)
+
+def _write_file(
+    model: DynamicModel,
+    format: str,
+    path: Path,
+    motions: Sequence[Motion],
+    home: str | Path,
+) -> tuple[str, ...]:
+    """Write a file of numbers, at a path without suffix; return what it lacks."""
+    if format == "json":
+        model.save(path.with_name("model.json"))
+        return ()
+    if format == "ranges":
+        return write_ranges(model, path.parent, path.name)
+    if format == "isaaclab":
+        text, left_out = isaac_lab(model, motions)
+        target = path.with_name(f"{path.name}_isaaclab.py")
+        target.write_text(text, encoding="utf-8")
+        return left_out
+    edited = model_simulator(model, kind=format, motions=motions, folder=home)
+    edited.write(path.with_name(f"{path.name}.{'xml' if format == 'mjcf' else 'urdf'}"))
+    return edited.notes + (tuple(mjx_notes(edited.robot)) if format == "mjcf" else ())
+
+
+def _write_program(
+    program: Program, model: DynamicModel, manifest: Mapping[str, Any], path: Path
+) -> None:
+    """Write a program, at a path without suffix."""
+    if manifest["format"] == "c":
+        write_c(model, program, manifest["model_sha256"], path.parent)
+    elif manifest["format"] == "onnx":
+        content = onnx_model(program, manifest).SerializeToString()
+        path.with_name(f"{path.name}.onnx").write_bytes(content)
+    else:
+        from hybrid.exports.torch_module import write_torchscript  # loads torch
+
+        write_torchscript(program, manifest, path.with_name(f"{path.name}.pt"))

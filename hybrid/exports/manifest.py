@@ -35,7 +35,6 @@ def build_manifest(
     model: DynamicModel,
     *,
     format: str,
-    digest: str,
     left_out: Sequence[str],
     memory: Sequence[str] = (),
 ) -> dict[str, Any]:
@@ -49,7 +48,7 @@ def build_manifest(
         "schema": SCHEMA,
         "version": __version__,
         "format": format,
-        "model_sha256": digest,
+        "model_sha256": model_digest(model),
         "robot": robot.name,
         "fingerprint": robot.fingerprint(),
         "joints": list(robot.joints),

@@ -132,15 +132,21 @@ def program_from_model(model: DynamicModel) -> Program:
             values = memory.run(effect.report_at_instant, effect, own, given)
             for j, x in zip(effect.joints, values, strict=True):
                 torque[j] = x
-    variance = [np.nan] * n
-    for part in model.remainder.parts if model.remainder else ():
-        seen = [*(q[j] for j in part.positions), *(v[j] for j in part.speeds)]
-        (mean,), (variance[part.joint],) = part.regression.at_instant(seen)
-        torque[part.joint] = torque[part.joint] + mean
+    variance = _add_remainder(model, q, v, torque)
     return Program(
         robot.joints, tape, tuple(torque), tuple(variance), tuple(memory.now),
         tuple(memory.names), tuple(left_out),
     )  # fmt: skip
+
+
+def _add_remainder(model: DynamicModel, q: Any, v: Any, torque: list[Any]) -> list[Any]:
+    """Add the learned torque; return its variance, NaN at joints without one."""
+    variance = [np.nan] * len(torque)
+    for part in model.remainder.parts if model.remainder else ():
+        seen = [*(q[j] for j in part.positions), *(v[j] for j in part.speeds)]
+        (mean,), (variance[part.joint],) = part.regression.at_instant(seen)
+        torque[part.joint] = torque[part.joint] + mean
+    return variance
 
 
 def _rigid_torque(

@@ -37,9 +37,10 @@ def connected(scheduler: str | None, workers: int) -> Iterator[Client]:
     """A Dask client of a cluster, or of local threads that own a process each.
 
     Raises:
-        HybridError: Dask is not installed, or no scheduler answers.
+        HybridError: Dask or pyarrow is not installed, or no scheduler answers.
     """
-    check_extra("distributed", "fleet", "A fleet")
+    for library in ("distributed", "pyarrow"):
+        check_extra(library, "fleet", "A fleet")
     import dask
     from distributed import Client, LocalCluster
 

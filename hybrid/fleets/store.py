@@ -8,9 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from hybrid.errors import HybridError
 from hybrid.files import atomic_path, read_json, write_json
 from hybrid.fleets.plan import FIRST, ArmPlan, Logs, Plan, Unit, opened, periods
@@ -26,9 +23,6 @@ _TEXT = ("arm", "period", "day", "joint", "parameter", "unit", "status", "reason
 _NUMBERS = (
     "change", "std", "baseline", "baseline_std", "temperature", "load", "residual",
 )  # fmt: skip
-SCHEMA = pa.schema(
-    [(x, pa.string()) for x in _TEXT] + [(x, pa.float64()) for x in _NUMBERS]
-)
 _CANDIDATES = 4  # first periods, of which one becomes the baseline
 
 
@@ -47,10 +41,12 @@ class Store:
 
     def rows(self, key: str) -> list[dict[str, Any]] | None:
         """Rows of a unit; None if there is no file, or a damaged one."""
+        import pyarrow as pa
+        from pyarrow.parquet import ParquetFile
+
         try:
-            return list(
-                pq.ParquetFile(self._path(key)).read(use_threads=False).to_pylist()
-            )
+            with ParquetFile(self._path(key)) as file:
+                return list(file.read(use_threads=False).to_pylist())
         except (OSError, pa.ArrowException):
             return None
 
@@ -75,9 +71,13 @@ class Store:
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows as Parquet in one step; the same rows give the same bytes."""
-    table = pa.Table.from_pylist(list(rows), schema=SCHEMA)
+    import pyarrow as pa
+    from pyarrow.parquet import write_table
+
+    kinds = dict.fromkeys(_TEXT, pa.string()) | dict.fromkeys(_NUMBERS, pa.float64())
+    table = pa.Table.from_pylist(list(rows), schema=pa.schema(kinds.items()))
     with atomic_path(path) as temporary:
-        pq.write_table(table, temporary)
+        write_table(table, temporary)
 
 
 def run_plan(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 from hybrid.effects import Effect
@@ -20,6 +21,7 @@ from hybrid.identification.preparation import (
     prepare,
     prepare_at_best_cutoff,
 )
+from hybrid.model.dynamic_model import log_hash
 from hybrid.recording import Recording
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
 from hybrid.robot import Robot
@@ -95,6 +97,8 @@ def identify(
             run()
             held_out[f"+ {name}"] = terms.error
     fit = terms.fit(held_out)
+    hashes = tuple(log_hash(log.tau) for log in logs)
+    fit = replace(fit, model=replace(fit.model, logs=hashes))
     for text in fit.warnings:
         warnings.warn(text, HybridWarning, stacklevel=2)
     return fit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +11,10 @@ import numpy as np
 
 from hybrid.arguments import MODEL, RECORDING, check_argument
 from hybrid.arrays import Array
-from hybrid.errors import RecordingError
+from hybrid.errors import HybridWarning, RecordingError
 from hybrid.identification.data import check_torque
 from hybrid.identification.preparation import prepare_motions
-from hybrid.model.dynamic_model import DynamicModel, check_same_arm
+from hybrid.model.dynamic_model import DynamicModel, check_same_arm, log_hash
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
@@ -115,12 +116,22 @@ def validate(
     Raises:
         ModelFileError: The model is of another arm.
         RecordingError: A recording does not fit the arm.
+
+    Warns:
+        HybridWarning: The model was identified from a recording.
     """
     check_argument(model, DynamicModel, MODEL)
     if robot is not None:
         check_same_arm(model, robot)
     motions, _ = prepare_motions(model.robot, recordings, model.cutoff)
     check_torque(motions)
+    for source in (m.source for m in motions if log_hash(m.tau) in model.logs):
+        warnings.warn(
+            f"{source}: the model was identified from this log, so this is no "
+            "validation; valid are other logs",
+            HybridWarning,
+            stacklevel=2,
+        )
     slowest = model.standing if standing is None else standing
     moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
     count = np.sum([x.sum(axis=0) for x in moving], axis=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -38,6 +39,7 @@ class DynamicModel:
         covariance: Covariance of the base values, shape (b, b), or (0, 0) if unknown.
         simpler: Models of earlier stages and simpler estimators, by name, for
             comparison.
+        logs: Hash of each log that it was identified from, see :func:`log_hash`.
     """
 
     robot: Robot
@@ -50,6 +52,7 @@ class DynamicModel:
     inertial: Array | None = None
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     simpler: Mapping[str, DynamicModel] = field(default_factory=dict)
+    logs: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         found = ", ".join(dict.fromkeys(effect.id for effect in self.effects))
@@ -126,6 +129,11 @@ class DynamicModel:
                 or has an unknown effect.
         """
         return read_model(cls, Path(path))
+
+
+def log_hash(tau: Array) -> str:
+    """Hash of the measured torque of a log, shape (N, n), which identifies the log."""
+    return hashlib.sha256(np.ascontiguousarray(tau).tobytes()).hexdigest()[:16]
 
 
 def check_same_arm(model: DynamicModel, robot: Robot) -> None:

@@ -56,6 +56,7 @@ def content_from_model(model: DynamicModel) -> dict[str, Any]:
         "fingerprint": model.robot.fingerprint(),
         **_content(model),
         "simpler": {name: _content(each) for name, each in model.simpler.items()},
+        "logs": list(model.logs),
     }
     return {"sha256": content_digest(content), **content}
 
@@ -91,7 +92,10 @@ def _read(kind: type[DynamicModel], content: Any) -> DynamicModel:
     simpler = {name: _model(kind, robot, x) for name, x in content["simpler"].items()}
     for fault in filter(None, map(name_fault, simpler)):
         raise ModelFileError(f"simpler model: {fault}")
-    return replace(_model(kind, robot, content), simpler=simpler)
+    logs = content.get("logs", [])  # older files have none
+    if not (isinstance(logs, list) and all(isinstance(x, str) for x in logs)):
+        raise ModelFileError("logs is no list of hashes")
+    return replace(_model(kind, robot, content), simpler=simpler, logs=tuple(logs))
 
 
 def content_digest(content: Mapping[str, Any]) -> str:

@@ -40,6 +40,7 @@ from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 _STANDING = 0.01  # of a joint's rated speed
 _NOISE = 0.02  # of the rated torque, before the first sample
+_PAYLOAD = 3.0  # kg, usual mass of a payload
 _IMPLAUSIBLE = 10.0  # of the sum of the rated speeds, and of the rated torques
 _UPDATES, _ROWS = 5.0, 25.0  # per period of the cut-off
 _SETTLING = 1.5  # periods of the cut-off in which the filter still holds older samples
@@ -69,7 +70,6 @@ class OnlineIdentifier:
         memory: Time over which parameters are averaged, [s].
         prior: Initial relative standard deviation of link parameters and gains.
         shape_prior: Initial relative standard deviation of shapes.
-        payload: Usual mass of a payload, [kg].
         standing: Speed below which a joint stands, shape (n,), [rad/s]; 1 % of its
             rated speed by default.
         noise: Initial standard deviation of the torque, shape (n,), [N·m]; it is
@@ -90,14 +90,11 @@ class OnlineIdentifier:
         memory: float = 20.0,
         prior: float = 0.3,
         shape_prior: float = 0.3,
-        payload: float = 3.0,
         standing: Array | None = None,
         noise: Array | None = None,
     ) -> None:
-        if not (rate > 0 and cutoff > 0 and memory > 0 and payload > 0 and prior > 0):
-            raise IdentificationError(
-                "rate, cutoff, memory, prior and payload must be above 0"
-            )
+        if not (rate > 0 and cutoff > 0 and memory > 0 and prior > 0):
+            raise IdentificationError("rate, cutoff, memory and prior must be above 0")
         self.robot, self.rate = robot, rate
         own = robot.chain.inertial if inertial is None else inertial
         problem = build_problem(robot.chain, effects, inertial=own)
@@ -116,14 +113,14 @@ class OnlineIdentifier:
         self._layout = RowLayout(self.problem, shape_prior > 0)
         self._columns = InstantColumns(robot, self.problem, self._layout, rows)
         updates, size = rate / self._block, len(start.theta)
-        self._payload_sizes = payload_sizes(payload)
+        self._payload_sizes = payload_sizes(_PAYLOAD)
         self._estimate = OnlineEstimate(
             SquareRootFilter(start.theta, start.root),
             bounds=start.bounds(),
             gains=problem.size,
             payload=start.payload_directions(self._payload_sizes),
             noise=TorqueNoise(usual[0] if noise is None else noise, updates),
-            detector=PayloadChange(rate=updates, mass=payload, reach=REACH),
+            detector=PayloadChange(rate=updates, mass=_PAYLOAD, reach=REACH),
             forgetting=1.0 - min(0.5, size / robot.size / (memory * updates)),
             mixing=_SETTLING / cutoff,
         )

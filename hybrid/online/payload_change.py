@@ -18,6 +18,7 @@ from hybrid.online.layout import PAYLOAD
 _THRESHOLD = 50.0  # of the likelihood-ratio statistic
 _HOLD = 1.0  # s without detection after a change
 _LEARNING = 10.0  # s without detection at the start
+_MEMORIES = 0.1, 0.4  # s, of the fading sums: for heavy payloads, and for light ones
 
 
 @dataclass(frozen=True)
@@ -58,24 +59,15 @@ class PayloadChange:
         rate: Updates per second, [Hz].
         mass: Usual mass of a payload, [kg].
         reach: Usual distance of its centre from the last joint, [m].
-        memories: Time constants of the fading sums, [s]: a short one for heavy
-            payloads, a long one for light ones.
     """
 
-    def __init__(
-        self,
-        *,
-        rate: float,
-        mass: float,
-        reach: float,
-        memories: tuple[float, ...] = (0.1, 0.4),
-    ) -> None:
-        self._fade = np.exp(-1.0 / (rate * np.array(memories)))
+    def __init__(self, *, rate: float, mass: float, reach: float) -> None:
+        self._fade = np.exp(-1.0 / (rate * np.array(_MEMORIES)))
         usual = np.array([mass, *3 * [mass * reach]])
         self._prior = np.diag(1.0 / usual**2)
         # Information matrix of the derivatives; in the last column their products with
         # the errors.
-        self._sums = np.zeros((len(memories), PAYLOAD, PAYLOAD + 1))
+        self._sums = np.zeros((len(_MEMORIES), PAYLOAD, PAYLOAD + 1))
         self._ignore_until: float | None = None
 
     def add(self, J: Array, error: Array) -> None:

@@ -12,7 +12,7 @@ from hybrid.robot.robot import Robot
 
 # See `Noise.typical`.
 _TORQUE_FRACTION, _NEIGHBOUR_CORRELATION = 0.005, 0.4  # of the rated torque; 1
-_ENCODER_BITS = 19
+_ENCODER_BITS = 19  # per turn
 _SPEED_STD = 1e-3  # rad/s
 
 
@@ -80,21 +80,18 @@ class Noise:
         return cls.correlated(std, _NEIGHBOUR_CORRELATION)
 
     @classmethod
-    def correlated(
-        cls, torque_std: Array, correlation: float, *, bits: float = _ENCODER_BITS
-    ) -> Noise:
-        """Torque noise with correlation ``correlation**|i − j|`` and an encoder.
+    def correlated(cls, torque_std: Array, correlation: float) -> Noise:
+        """Torque noise with correlation ``correlation**|i − j|``, a 19-bit encoder.
 
         Args:
             torque_std: Standard deviation of the torque noise, shape (n,), [N·m].
             correlation: Correlation of neighbouring joints, between −1 and 1.
-            bits: Encoder resolution, [bit/turn].
         """
         n = len(torque_std)
         distance = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
         return cls(
             torque_covariance=np.outer(torque_std, torque_std) * correlation**distance,
-            position_resolution=np.full(n, 2 * np.pi / 2**bits),
+            position_resolution=np.full(n, 2 * np.pi / 2**_ENCODER_BITS),
             position_std=np.zeros(n),
             speed_std=np.full(n, _SPEED_STD),
         )

@@ -19,6 +19,7 @@ _LARGEST_STEP = 1.0
 # The servo is so stiff that usual friction, a share of the rated torque, causes at most
 # this angle. Gains from inertia alone would be too low for wrists without rotors.
 _FRICTION, _FRICTION_ANGLE = 0.05, 0.02  # 1, rad
+_FREQUENCY, _DAMPING = 8.0, 1.0  # Hz; 1, of the natural motion
 _POSTURES, _COUPLED_POSTURES = 20, 200
 
 
@@ -54,9 +55,7 @@ class Servo:
         robot: Robot,
         *,
         period: float,
-        lag: Array | float = 0.0,
-        frequency: float = 8.0,
-        damping: float = 1.0,
+        lag: Array,
     ) -> Servo:
         """Gains for a natural frequency at each joint's largest inertia, or higher.
 
@@ -68,25 +67,23 @@ class Servo:
             robot: The arm that the controller knows.
             period: Time between control samples, [s].
             lag: Time constant of the drives, shape (n,), [s].
-            frequency: Natural frequency, [Hz].
-            damping: Damping ratio.
         """
         # With a lag T the loop is unstable unless kd > T·kp; half of that is used.
-        fastest = damping / np.maximum(lag, 1e-9)
-        wanted = np.minimum(2 * np.pi * frequency, fastest)
+        fastest = _DAMPING / np.maximum(lag, 1e-9)
+        wanted = np.minimum(2 * np.pi * _FREQUENCY, fastest)
         coupled, decoupled = _motor_inertia(arm)
-        stable = _LARGEST_STEP * decoupled / (2 * damping * period)  # omega · inertia
+        stable = _LARGEST_STEP * decoupled / (2 * _DAMPING * period)  # omega · inertia
         inertia = np.minimum(coupled, stable / wanted)
         stiff = _FRICTION / _FRICTION_ANGLE * rated_torque(robot)
         omega = np.maximum(wanted, np.sqrt(stiff / inertia))
         omega = np.minimum(np.minimum(omega, stable / inertia), fastest)
         # A servo that is slow because of the lag must be stiff enough as well.
         inertia = np.minimum(np.maximum(inertia, stiff / omega**2), stable / omega)
-        decay = _fastest_decay(arm, 2 * damping * omega * inertia)
+        decay = _fastest_decay(arm, 2 * _DAMPING * omega * inertia)
         inertia *= min(1.0, _LARGEST_STEP / (decay * period))
         return cls(
             kp=omega**2 * inertia,
-            kd=2 * damping * omega * inertia,
+            kd=2 * _DAMPING * omega * inertia,
             limit=robot.tau_max,
             feedforward=robot,
         )

@@ -12,7 +12,7 @@ from typing import Any
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.progress import Progress
 from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
-from hybrid.recording.formats.parquet import table_of_frame
+from hybrid.recording.formats.frame import table_of_frame
 from hybrid.recording.formats.ros import read_ros
 from hybrid.recording.mapping import Map, read_mapping
 from hybrid.recording.recording import Recording

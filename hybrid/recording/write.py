@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
 from hybrid.files import atomic_path
+from hybrid.recording.formats.parquet import check_parquet
 from hybrid.recording.recording import Recording, numbered_joints
 
 Columns = Mapping[str, NDArray[Any]]
@@ -62,15 +64,16 @@ def writer_of(path: Path) -> Callable[[Columns, Path], None]:
         raise RecordingError(
             f"{path}: unknown kind of file; valid are {', '.join(WRITERS)}"
         )
+    if path.suffix.lower() == ".parquet":
+        check_parquet(path)
     return WRITERS[path.suffix.lower()]
 
 
 def _write_csv(columns: Columns, path: Path) -> None:
-    import pyarrow as pa
-    from pyarrow import csv
-
-    options = csv.WriteOptions(quoting_style="needed")
-    csv.write_csv(pa.table(dict(columns)), path, options)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerow(columns)
+        lines.writerows(zip(*(x.tolist() for x in columns.values()), strict=True))
 
 
 def _write_parquet(columns: Columns, path: Path) -> None:

@@ -58,14 +58,7 @@ def content_from_calibration(
         "joints": list(robot.joints),
         "measured": calibration.data.kind,
         "poses": calibration.data.size,
-        "errors": {
-            kind: {
-                "unit": _UNIT[kind],
-                "nominal": _sizes(errors.nominal[kind]),
-                "calibrated": _sizes(sizes),
-            }
-            for kind, sizes in errors.calibrated.items()
-        },
+        "errors": {kind: _error(errors, kind) for kind in errors.calibrated},
         "parameters": [
             parameter.as_dict() | {"interval": [low[k], high[k]]}
             for k, parameter in enumerate(calibration.parameters)
@@ -90,6 +83,11 @@ def content_from_calibration(
             )
         ],
     }
+
+
+def _error(errors: Errors, kind: str) -> dict[str, Any]:
+    nominal, calibrated = _sizes(errors.nominal[kind]), _sizes(errors.calibrated[kind])
+    return {"unit": _UNIT[kind], "nominal": nominal, "calibrated": calibrated}
 
 
 def _sizes(sizes: Any) -> dict[str, float]:

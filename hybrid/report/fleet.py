@@ -16,7 +16,7 @@ from scipy.stats import median_abs_deviation
 from hybrid.files import atomic_path
 from hybrid.fleets import Fleet, State
 from hybrid.fleets.changes import MONTH, Change
-from hybrid.names import figure_text, file_stem
+from hybrid.names import figure_text, file_stems
 from hybrid.report.page import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, RED, new_figure, panels
 from hybrid.report.table import Table
@@ -130,6 +130,16 @@ def diagnoses_table(fleet: Fleet, arm: str = "") -> Table:
     return Table(header, tuple(rows), words=True)
 
 
+def fleet_tables(fleet: Fleet) -> dict[str, Table]:
+    """All tables of a fleet by name."""
+    return {
+        "alarms": alarms_table(fleet),
+        "unlike": unlike_table(fleet),
+        "refused": refused_table(fleet),
+        "diagnoses": diagnoses_table(fleet),
+    }
+
+
 def refused_table(fleet: Fleet) -> Table:
     """Periods without a result, with the reason."""
     rows = [(x["arm"], x["period"], x["status"], x["reason"]) for x in fleet.refused]
@@ -213,7 +223,8 @@ def write_fleet_pages(
     named = dict.fromkeys(x.arm for x in fleet.alarms)
     named |= dict.fromkeys(x.arm for x in fleet.states if x.unlike)
     named |= dict.fromkeys(arm for arm, _ in fleet.diagnoses)
-    pages = {arm: f"arms/{file_stem(arm)}.html" for arm in list(named)[:_MOST_PAGES]}
+    stems = file_stems(list(named)[:_MOST_PAGES])
+    pages = {arm: f"arms/{stem}.html" for arm, stem in stems.items()}
     (folder / "arms").mkdir(parents=True, exist_ok=True)
     for arm, page in pages.items():
         own = [x for x in fleet.states if x.arm == arm]
@@ -244,9 +255,9 @@ def _fleet_sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]
         f"False alarms that noise raises: {fleet.false_alarms:g} in 100 arm-months. A "
         "score is the size of a change over its standard deviation."
     )
-    alarms = alarms_table(fleet)
-    if alarms.rows:
-        yield Section("What changed", text, table=_linked(alarms, pages))
+    tables = {name: _linked(x, pages) for name, x in fleet_tables(fleet).items()}
+    if tables["alarms"].rows:
+        yield Section("What changed", text, table=tables["alarms"])
     else:
         yield Section("What changed", f"Nothing. {text}")
     if fleet.states:
@@ -255,17 +266,14 @@ def _fleet_sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]
     if fleet.alarms:
         figure = timeline_figure(fleet.alarms[:_MOST_TIMELINES])
         yield Section("The surest changes", figure=figure, caption=_TIMELINE)
-    for title, text, table in (
-        (
-            _CHANGED,
-            f"The last period of each arm. {_DIAGNOSIS}",
-            diagnoses_table(fleet),
-        ),
-        ("Unlike the others", "", unlike_table(fleet)),
-        ("Without a result", "", refused_table(fleet)),
+    last = f"The last period of each arm. {_DIAGNOSIS}"
+    for name, title, text in (
+        ("diagnoses", _CHANGED, last),
+        ("unlike", "Unlike the others", ""),
+        ("refused", "Without a result", ""),
     ):
-        if table.rows:
-            yield Section(title, text, table=_linked(table, pages))
+        if tables[name].rows:
+            yield Section(title, text, table=tables[name])
     if fleet.shared:
         text = "\n\n".join(f"{x[:1].upper()}{x[1:]}." for x in fleet.shared)
         yield Section("What all arms share", text)

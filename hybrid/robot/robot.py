@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.errors import RobotError
+from hybrid.errors import HybridWarning, RobotError
 from hybrid.names import name_fault
 from hybrid.robot.chain import Chain
 from hybrid.robot.read import read_robot
@@ -141,15 +142,28 @@ class Robot:
                 declares forces on the arm that are not modelled.
 
         Warns:
-            HybridWarning: Joints outside the arm are held; or the file compensates
-                gravity.
+            HybridWarning: Joints outside the arm are held; the file compensates
+                gravity; or friction or a rotor is below zero.
         """
         held = {} if held is None else {name: float(x) for name, x in held.items()}
         fields, model = read_robot(source, joints, held)
         robot = cls(**fields)
+        robot._warn_of_negative()
         if model is not None:
             check_modelled(robot, model)
         return robot
+
+    def _warn_of_negative(self) -> None:
+        values = {"damping": self.damping, "dry friction": self.frictionloss}
+        values["rotor inertia"] = self.chain.armature
+        for name, x in values.items():
+            for j in np.flatnonzero(x < 0).tolist():
+                warnings.warn(
+                    f"{self.path or self.name}: {name} of joint {self.joints[j]!r} is "
+                    f"{x[j]:g}, which drives the joint; valid is 0 or more",
+                    HybridWarning,
+                    stacklevel=3,
+                )
 
     def __repr__(self) -> str:
         return f"<Robot {self.name}: {', '.join(self.joints)}>"

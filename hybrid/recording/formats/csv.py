@@ -6,8 +6,9 @@ import csv
 import gzip
 import io
 import re
+import warnings
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,6 @@ from hybrid.recording.table import LARGEST_FILE, LogTable
 
 DELIMITERS = (",", ";", "\t")
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
-_ZONE = re.compile(r"(Z|[+-]\d\d:?\d\d)\s*$")
 _WHOLE = re.compile(r"\s*\d{16,19}\s*")  # more digits than a float has
 _LONGEST_LINE = 1 << 20  # bytes
 
@@ -56,54 +56,60 @@ def read_csv(path: Path) -> list[tuple[LogTable]]:
 
 def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     """Load columns by the text of their indices from 0."""
-    import pyarrow as pa
-
-    first, kinds = dict(enumerate(text.first)), {}
-    for k in names:
-        cell = first.get(int(k), "")
-        whole = pa.int64() if _WHOLE.fullmatch(cell) else pa.float64()
-        date = pa.timestamp("ns", tz="UTC" if _ZONE.search(cell) else None)
-        kinds[k] = date if _DATE.match(cell) else whole
+    used = [int(k) for k in names]
+    kinds = {k: _kind(text.first[k] if k < len(text.first) else "") for k in used}
     try:
-        table = _table(text, kinds)
-    except pa.ArrowException:
-        try:  # again, because several threads do not count rows
-            table = _table(text, kinds, use_threads=False)
-        except pa.ArrowException as error:
+        rows = _rows(text, kinds, {"M8[ns]": _date})
+    except ValueError:
+        try:  # again, with blank cells as NaN
+            rows = _rows(text, kinds, {"M8[ns]": _date, "f8": _number})
+        except ValueError as error:
             reason = _explanation(text, str(error))
             raise RecordingError(f"{text.path}: {reason}") from error
-    if table.num_rows == 0:
+    if not len(rows):
         raise RecordingError(f"{text.path}: no rows below the column names")
-    return {k: _numbers(table.column(k)) for k in kinds}
+    return {str(k): rows[str(k)] for k in used}
 
 
-def _table(text: _Text, kinds: dict[str, Any], use_threads: bool = True) -> Any:
-    from pyarrow import csv as arrow_csv
-
-    names = [str(k) for k in range(len(text.labels))]
-    return arrow_csv.read_csv(
-        text.path if text.content is None else io.BytesIO(text.content),
-        arrow_csv.ReadOptions(column_names=names, skip_rows=1, use_threads=use_threads),
-        arrow_csv.ParseOptions(delimiter=text.delimiter),
-        arrow_csv.ConvertOptions(
-            column_types=kinds,
-            include_columns=list(kinds),
-            decimal_point=text.decimal_point,
-            null_values=["", "nan", "NaN", "NAN"],
-        ),
-    )
+def _kind(cell: str) -> str:
+    """Type of a column by its first cell."""
+    if _DATE.match(cell):
+        return "M8[ns]"
+    return "i8" if _WHOLE.fullmatch(cell) else "f8"
 
 
-def _numbers(column: Any) -> NDArray[Any]:
-    """Copy a column; pyarrow's own method would import pandas."""
-    kind = {"double": np.float64, "int64": np.int64}.get(str(column.type))
-    if kind is None or column.null_count:
-        return np.asarray(column.to_numpy())
-    parts = [
-        np.frombuffer(x.buffers()[1], kind)[x.offset : x.offset + len(x)]
-        for x in column.chunks
-    ]
-    return np.concatenate(parts)
+def _rows(
+    text: _Text, kinds: Mapping[int, str], parsers: Mapping[str, Callable[[str], Any]]
+) -> NDArray[Any]:
+    """Load all rows; one character stands for a cell that is not used."""
+    layout = [(str(k), kinds.get(k, "U1")) for k in range(len(text.labels))]
+    raw = text.path.open("rb") if text.content is None else io.BytesIO(text.content)
+    with io.TextIOWrapper(raw, "utf-8", "replace", newline="") as lines:
+        lines.readline()
+        comma = text.decimal_point == ","
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # NumPy's on no rows, and on time zones
+            return np.loadtxt(
+                (x.replace(",", ".") for x in lines) if comma else lines,
+                layout,
+                comments=None,
+                delimiter=text.delimiter,
+                converters={k: parsers[x] for k, x in kinds.items() if x in parsers},
+                ndmin=1,
+                quotechar='"',
+            )
+
+
+def _number(cell: str) -> float:
+    """Number of a cell; a blank one is NaN."""
+    if "_" in cell:
+        raise ValueError
+    return float(cell.strip() or "nan")
+
+
+def _date(cell: str) -> np.datetime64:
+    """Time of a cell, in UTC if it states a zone."""
+    return np.datetime64(cell.strip(), "ns")
 
 
 def _unpacked(path: Path) -> bytes | None:
@@ -169,16 +175,18 @@ def _header(path: Path, line: bytes) -> str:
 
 
 def _explanation(text: _Text, error: str) -> str:
-    """Explain an error of pyarrow, which counts rows from 1 and includes the header."""
-    ragged = r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)"
+    """Explain an error of NumPy, which counts rows and columns from 1."""
+    ragged = (
+        r"the dtype passed requires (\d+) columns but (\d+) were found at row (\d+)"
+    )
     if match := re.match(ragged, error):
-        row, valid, found = map(int, match.groups())
+        valid, found, row = map(int, match.groups())
         cells = f"{found} cells; valid are {valid}, one for each column name"
-        return f"{row_words(row - 2)} has {cells}"
-    wrong = r"In CSV column #(\d+): Row #(\d+): .* value '(.*)'"
+        return f"{row_words(row - 1)} has {cells}"
+    wrong = r"could not convert string '(.*)' to .* at row (\d+), column (\d+)"
     if match := re.match(wrong, error):
-        label, cell = text.labels[int(match[1])].strip(), match[3].strip()
-        return f"{label}, {row_words(int(match[2]) - 2)}: {cell!r} is not a number"
+        label, cell = text.labels[int(match[3]) - 1].strip(), match[1].strip()
+        return f"{label}, {row_words(int(match[2]))}: {cell!r} is not a number"
     return f"cannot be read as CSV: {error.splitlines()[0]}"
 
 

@@ -66,8 +66,10 @@ def table_of_arrays(
             )
     layout: list[FieldColumn] = []
     for label, x in arrays.items():
-        is_used = is_time(split_unit(label)[0]) or parse_label(label).channel
-        if is_used and (x.ndim not in (1, 2) or x.dtype.kind not in "fiu"):
+        timed = is_time(split_unit(label)[0])
+        kinds = "fiuM" if timed else "fiu"
+        is_used = timed or parse_label(label).channel
+        if is_used and (x.ndim not in (1, 2) or x.dtype.kind not in kinds):
             raise RecordingError(
                 f"{source}: {printable(label)} has shape {x.shape} and type {x.dtype}; "
                 "valid are numbers, (N,) or (N, n)"

@@ -16,11 +16,13 @@ import numpy as np
 
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
-from hybrid.recording.formats.parquet import arrow_table, field_of
-from hybrid.recording.table import LARGEST_FILE, LogTable, as_recording_error
+from hybrid.recording.formats.frame import table_of_frame
+from hybrid.recording.formats.parquet import arrow_table, check_parquet
+from hybrid.recording.table import LogTable
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
 _MOST_FILES = 100_000
+_EPISODE = "episode_index"
 _FEATURE = re.compile(r"(.+)\[(\d+)\]")
 
 
@@ -40,6 +42,7 @@ def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
         raise RecordingError(
             f"{folder}: LeRobot dataset {version[:20]}; valid are {', '.join(VERSIONS)}"
         )
+    check_parquet(folder)
     files = sorted((folder / "data").rglob("*.parquet"))[:_MOST_FILES]
     if not files:
         raise RecordingError(f"{folder}: no Parquet files in data/")
@@ -50,38 +53,18 @@ def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
 
 
 def _episodes(file: Path) -> Iterator[LogTable]:
-    table, source, key = _loaded(file), str(file), "episode_index"
-    if key not in table.column_names or not len(table):
-        raise RecordingError(f"{file}: no rows, or no {key}")
-    index = field_of(table, key, source)
+    table = arrow_table(file, ("timestamp", _EPISODE, "observation", "action"))
+    images = [name for name in table.column_names if "image" in name]
+    table = table.drop_columns(images)
+    if _EPISODE not in table.column_names or not len(table):
+        raise RecordingError(f"{file}: no rows, or no {_EPISODE}")
+    index = np.asarray(table[_EPISODE])
     for episode in np.unique(index):
         rows = np.flatnonzero(index == episode)
-        part = table.slice(rows[0], len(rows))
-        if np.ptp(rows) >= len(rows):
-            part = table.take(rows)
-        yield arrow_table(
-            part, source, left_out=key, kind="LeRobot", name=f"episode {episode}",
-            preset="lerobot",
-        )  # fmt: skip
-
-
-def _loaded(file: Path) -> Any:
-    """Load the columns of states, actions and times, without images."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    with as_recording_error(file, "Parquet file"), parquet.ParquetFile(file) as content:
-        names = [
-            f.name for f in content.schema_arrow
-            if f.name in ("timestamp", "episode_index")
-            or f.name.startswith(("observation", "action"))
-            and "image" not in f.name and not pa.types.is_struct(f.type)
-        ]  # fmt: skip
-        groups = range(content.metadata.num_row_groups)
-        size = sum(content.metadata.row_group(k).total_byte_size for k in groups)
-        if size > LARGEST_FILE:
-            raise RecordingError(f"{file}: unpacks to {size:.3g} bytes")
-        return content.read(columns=names)
+        part = table.take(rows).drop_columns([_EPISODE])
+        yield table_of_frame(
+            part, str(file), kind="LeRobot", name=f"episode {episode}", preset="lerobot"
+        )
 
 
 def _label(label: str, features: dict[str, Any]) -> str:

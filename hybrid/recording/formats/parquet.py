@@ -1,22 +1,13 @@
-"""Read Parquet files, and tables in memory: pandas, polars, pyarrow, or a dict."""
+"""Read Parquet files, by pyarrow."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hybrid.errors import RecordingError
-from hybrid.recording.formats.fields import (
-    FieldColumn,
-    field_table,
-    named_labels,
-    table_of_arrays,
-)
-from hybrid.recording.labels import is_time, split_unit
+from hybrid.extras import check_extra
+from hybrid.recording.formats.frame import table_of_frame
 from hybrid.recording.table import (
     LARGEST_FILE,
     MOST_COLUMNS,
@@ -24,144 +15,40 @@ from hybrid.recording.table import (
     as_recording_error,
 )
 
-_LONGEST = 1000  # entries of a list that becomes columns
+
+def check_parquet(path: Path) -> None:
+    """Refuse a file that needs pyarrow where it is not installed."""
+    check_extra("pyarrow", "parquet", f"{path}: Parquet")
 
 
 def read_parquet(path: Path) -> list[tuple[LogTable]]:
     """Read a table with a column for each channel of each joint, or with lists."""
-    from pyarrow import parquet
-
-    source = str(path)
-    with as_recording_error(path, "Parquet file"), parquet.ParquetFile(path) as file:
-        schema, rows = file.schema_arrow, file.metadata.num_rows
-        lists = [f.name for f in schema if _is_list(f.type)]
-        lists = lists if rows and len(schema) <= MOST_COLUMNS else []
-        first = next(file.iter_batches(1, columns=lists), None) if lists else None
-
-    def get(names: Iterable[str]) -> dict[str, NDArray[Any]]:
-        wanted = list(names)
-        size = 8 * rows * len(wanted)
-        if size > LARGEST_FILE:
-            raise RecordingError(
-                f"{source}: {rows} rows of {len(wanted)} columns are {size:.3g} bytes; "
-                f"valid are {LARGEST_FILE:.3g} or less"
-            )
-        with (
-            as_recording_error(path, "Parquet file"),
-            parquet.ParquetFile(path) as file,
-        ):
-            table = file.read(columns=wanted)
-        return {name: field_of(table, name, source) for name in wanted}
-
-    layout = schema_columns(schema, first)
-    return [(field_table(source, layout, get, kind="Parquet"),)]
+    check_parquet(path)
+    return [(table_of_frame(arrow_table(path), str(path), kind="Parquet"),)]
 
 
-def arrow_table(
-    table: Any, source: str, *, left_out: str = "", **more: Any
-) -> LogTable:
-    """Make a log table of an Arrow table; ``more`` are further fields of it."""
-    first = (table.slice(0, 1).combine_chunks().to_batches() or [None])[0]
-    layout = [x for x in schema_columns(table.schema, first) if x[1] != left_out]
-    return field_table(
-        source,
-        layout,
-        lambda names: {name: field_of(table, name, source) for name in names},
-        **more,
-    )
-
-
-def table_of_frame(frame: Any) -> LogTable:
-    """Read a table by Arrow's protocol or the interchange protocol."""
-    if isinstance(frame, Mapping):
-        arrays = {str(label): np.asarray(x) for label, x in frame.items()}
-        return table_of_arrays(arrays, "table", kind="dict of arrays")
-    import pyarrow as pa
-    from pyarrow.interchange import from_dataframe
-
-    if hasattr(frame, "index") and hasattr(frame, "reset_index"):
-        frame = _with_index(frame)
-    try:
-        plain = isinstance(frame, pa.Table) or hasattr(frame, "__arrow_c_stream__")
-        table = pa.table(frame) if plain else from_dataframe(frame)
-    except (AttributeError, TypeError, ValueError, pa.ArrowException) as error:
-        raise RecordingError(
-            f"table: {type(frame).__name__} is no table; valid are tables of pandas, "
-            "polars and pyarrow, and a dict of arrays"
-        ) from error
-    return arrow_table(table, "table", kind=type(frame).__module__.split(".")[0])
-
-
-def _with_index(frame: Any) -> Any:
-    """Add the index of a pandas table as a column, if it holds times."""
-    name = str(frame.index.name or "")
-    if np.asarray(frame.index[:0]).dtype.kind == "M":
-        return frame.rename_axis(name if is_time(name) else "time").reset_index()
-    timed = bool(name) and is_time(split_unit(name)[0])
-    return frame.reset_index(drop=not timed)
-
-
-def _is_list(kind: Any) -> bool:
-    from pyarrow import types
-
-    return any(f(kind) for f in (types.is_list, types.is_large_list,
-                                 types.is_fixed_size_list))  # fmt: skip
-
-
-def schema_columns(schema: Any, first: Any) -> list[FieldColumn]:
-    """Columns of a schema; a list has a column for each of its entries.
+def arrow_table(path: Path, begin: tuple[str, ...] = ("",)) -> Any:
+    """Read the columns of numbers, dates, texts and their lists.
 
     Args:
-        schema: Arrow schema.
-        first: Batch with the first row, which gives the lengths of lists; None if there
-            are no rows.
+        path: The file.
+        begin: Beginnings of the names of the columns to read.
+
+    Returns:
+        A table of pyarrow.
     """
-    from pyarrow import types
+    from pyarrow import parquet, types
 
-    layout: list[FieldColumn] = []
-    texts: dict[str, str] = {}
-    for f in schema:
-        values = first.column(f.name)[0].as_py() if first and _is_list(f.type) else None
-        if values is None or len(values) > _LONGEST:
-            # an unnamed index of pandas is time if it holds dates
-            index = f.name == "__index_level_0__" and types.is_timestamp(f.type)
-            layout.append(("time" if index else f.name, f.name, None))
-            continue
-        for k, value in enumerate(values):
-            layout.append((f"{f.name}[{k}]", f.name, k))
-            if isinstance(value, str):
-                texts[f"{f.name}[{k}]"] = value
-    labels = named_labels([label for label, _, _ in layout], texts)
-    return [(label, *x[1:]) for label, x in zip(labels, layout, strict=True)]
-
-
-def field_of(table: Any, name: str, source: str) -> NDArray[Any]:
-    """Samples of a column of an Arrow table, shape (N,), or (N, n) for lists."""
-    from pyarrow import compute
-
-    with as_recording_error(source, "Parquet file"):
-        values = table.column(name)
-        if _is_list(values.type):
-            least = compute.min(compute.list_value_length(values)).as_py() or 0
-            parts = [compute.list_element(values, k) for k in range(least)]
-            columns = [_numbers(x, name, source) for x in parts]
-            return np.stack(columns, axis=1) if columns else np.zeros((len(values), 0))
-        return _numbers(values, name, source)
-
-
-def _numbers(values: Any, name: str, source: str) -> NDArray[Any]:
-    import pyarrow as pa
-    from pyarrow import types
-
-    kind = values.type
-    if types.is_timestamp(kind) or types.is_date(kind):
-        values = values.cast(pa.timestamp("ns"))
-    elif types.is_duration(kind):
-        return np.asarray(values.cast(pa.duration("ns")).cast(pa.int64())) / 1e9
-    elif types.is_decimal(kind):
-        values = values.cast(pa.float64())
-    elif not (types.is_integer(kind) or types.is_floating(kind)):
-        raise RecordingError(
-            f"{source}: column {name!r} holds {kind}; valid are numbers"
-        )
-    return np.asarray(values.to_numpy())
+    left_out = types.is_binary, types.is_large_binary, types.is_struct
+    with as_recording_error(path, "Parquet file"), parquet.ParquetFile(path) as file:
+        names = [
+            f.name for f in file.schema_arrow
+            if f.name.startswith(begin) and not any(kind(f.type) for kind in left_out)
+        ]  # fmt: skip
+        rows, columns = file.metadata.num_rows, len(names)
+        if columns > MOST_COLUMNS or 8 * rows * columns > LARGEST_FILE:
+            raise RecordingError(
+                f"{path}: {rows} rows of {columns} columns; valid are up to "
+                f"{MOST_COLUMNS} columns and {LARGEST_FILE:.3g} bytes"
+            )
+        return file.read(columns=names)
