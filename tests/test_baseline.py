@@ -43,7 +43,9 @@ def test_friction_that_grew_is_told_by_as_much_as_it_grew(model):
     assert low <= grown <= high
 
 
-def test_an_arm_that_has_not_changed_has_no_gap_for_the_command(model, tmp_path, capsys):
+def test_an_arm_that_has_not_changed_has_no_gap_for_the_command(
+    model, tmp_path, capsys
+):
     from hybrid.recording import write
 
     for k, x in enumerate(logs(seed=4)):
