@@ -245,7 +245,7 @@ def coverage(kind, poses, seeds, *, shared=0.0):
 
 
 def test_intervals_hold_where_the_points_of_a_pose_share_its_errors():
-    inside, _ = coverage("reflectors", 40, 30, shared=1e-4)
+    inside, _ = coverage("reflectors", 40, 20, shared=1e-4)
     assert 0.92 < inside < 0.98
 
 
