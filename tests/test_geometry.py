@@ -200,3 +200,9 @@ def test_a_mesh_that_cannot_be_read_is_named(content, tmp_path):
     (tmp_path / "m.obj").write_bytes(content)
     with pytest.raises(RobotError, match=r"m\.obj: not a readable mesh"):
         urdf(tmp_path, '<mesh filename="m.obj"/>')
+
+
+def test_a_mesh_of_one_small_triangle_is_held(tmp_path):
+    corners = 0.01 * np.array([[[0, 0, 0], [1.0, 0, 0], [0.3, 1.5, 0.2]]])
+    (tmp_path / "m.stl").write_bytes(stl(corners))
+    assert_held(corners[0] + AT, urdf(tmp_path, '<mesh filename="m.stl"/>'))
