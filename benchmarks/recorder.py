@@ -57,23 +57,25 @@ class Recorder:
         )
 
     def _cached(self, f: Any, cache: Callable[[Any], Any]) -> Any:
-        """A cached function whose lines count for all that call it."""
+        """A cached function whose lines count for all that call it with the same."""
         if not getattr(f, "__code__", None) or not f.__code__.co_filename.startswith(
             str(self.root)
         ):
             return cache(f)
-        name = f"cache {f.__module__}.{f.__qualname__}"
+
+        def name(*given: Any) -> str:
+            return f"cache {f.__module__}.{f.__qualname__} {hash(given):x}"
 
         @functools.wraps(f)
         def fresh(*args: Any, **kwargs: Any) -> Any:
-            with self._within(name):
+            with self._within(name(args, *kwargs.items())):
                 return f(*args, **kwargs)
 
         kept = cache(fresh)
 
         @functools.wraps(f)
         def called(*args: Any, **kwargs: Any) -> Any:
-            self.uses[self.stack[-1]].add(name)
+            self.uses[self.stack[-1]].add(name(args, *kwargs.items()))
             return kept(*args, **kwargs)
 
         called.cache_clear, called.cache_info = kept.cache_clear, kept.cache_info

@@ -60,8 +60,9 @@ def class_at(result, joint):
     return {x for ids in found for x in ids}
 
 
-def read_reference(path):
+def read_reference(path, most=np.inf):
     table = np.loadtxt(path, delimiter=",", skiprows=1)
+    table = table[table[:, 0] < most]
     return Reference(table[:, 0], *np.split(table[:, 1:], 3, axis=1))
 
 
@@ -74,7 +75,7 @@ def test_the_advised_experiment_splits_the_class(tmp_path):
     promised = {x for advice in advised for x in advice.splits} - {"load_friction"}
     assert {"coulomb", "presliding"} <= promised
     assert all("load_friction" in advice.splits for advice in advised)
-    ask = read_reference(tmp_path / advised[0].file)
+    ask = read_reference(tmp_path / advised[0].file, most=15.0)  # half is enough
     new = plant_with("load_friction", 0, 0.3).run([ask], seed=rng)
     after = class_at(examine(arm("planar"), [*logs, *new]), 0)
     assert "load_friction" in after

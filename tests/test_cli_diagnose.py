@@ -73,7 +73,7 @@ def logs(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
     run(
         f"simulate --robot {PLANAR} --effects stribeck:elbow(level=1.5;velocity=0.1) "
-        f"--trajectories 4 --duration 6 --out {folder}"
+        f"--trajectories 4 --duration 4.5 --out {folder}"
     )
     return folder
 
@@ -236,7 +236,7 @@ def test_effects_of_a_users_own_take_part(tmp_path, capsys, monkeypatch):
     own = f"--effects-from {tmp_path}/mine.py"
     run(
         f"simulate --robot {PLANAR} --effects hose:elbow(level=3) --trajectories 4 "
-        f"--duration 6 --out {tmp_path}/logs {own}"
+        f"--duration 4 --out {tmp_path}/logs {own}"
     )
     diagnose = f"diagnose --robot {PLANAR} --recordings {tmp_path}/logs"
     run(f"{diagnose} --out {tmp_path}/out {own}")

@@ -330,6 +330,7 @@ class TestCause:
         found = {(f.effect, f.joints) for f in planar().diagnosis.findings}
         assert found == {("torque_ripple", ("shoulder",)), ("stribeck", ("elbow",))}
         assert planar().diagnosis.verdict == "explained"
+        assert planar().diagnosis.unexplained < 0.05
 
     def test_they_have_the_size_that_they_have(self):
         by_id = {e.id: e.values for e in planar().effects}
@@ -379,8 +380,6 @@ class TestCause:
         """The fourth recording is for scoring only: there friction is another."""
         robot, recordings = logs([Viscous((0,), {"coefficient": 4.0})])
         _, others = logs([Viscous((0,), {"coefficient": 7.0})])
-        right = examine(robot, recordings).diagnosis
-        assert right.verdict == "explained" and right.unexplained < 0.05
         wrong = examine(robot, [*recordings[:3], others[3]]).diagnosis
         assert wrong.verdict == "partly_explained"
         assert wrong.unexplained == pytest.approx((3 / 7) ** 2, rel=0.3)
@@ -830,7 +829,7 @@ def test_units_are_those_of_a_joint_that_slides(tmp_path):
     path.write_text(LIFT)
     robot = Robot.load(path)
     plant = Plant(robot, [Viscous((1,), {"coefficient": 40.0})], nominal=robot)
-    recordings = simulate(plant, trajectories=4, duration=6.0, seed=1)
+    recordings = simulate(plant, trajectories=4, duration=4.0, seed=1)
     result = with_motion_gap(examine(robot, recordings), np.random.default_rng(0))
     (finding,) = result.diagnosis.findings
     (value,) = finding.parameters

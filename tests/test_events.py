@@ -41,11 +41,11 @@ def resting(recording, pushed):
 
 def test_a_push_at_rest_is_told_with_time_torque_and_force():
     plant = Plant(ROBOT, [], nominal=ROBOT, noise=Noise.typical(ROBOT))
-    logs = simulate(plant, trajectories=2, duration=6.0, seed=1)
+    logs = simulate(plant, trajectories=2, duration=4.0, seed=1)
     logs = [resting(x, pushed) for x, pushed in zip(logs, (True, False), strict=True)]
     result = examine(ROBOT, logs)
     (event,) = result.diagnosis.events
-    assert abs(event.start - 7.0) < 0.2 and abs(event.end - 7.8) < 0.2
+    assert abs(event.start - 5.0) < 0.2 and abs(event.end - 5.8) < 0.2
     np.testing.assert_allclose(event.force[:3], FORCE[:3], atol=4.0)
     assert not events_at_rest(replace(result.gap, left=0 * result.gap.left))
     (line,) = pushes(result.diagnosis)

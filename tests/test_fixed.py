@@ -52,7 +52,7 @@ def effect_of(name, **values):
 def motion_of(effect_id):
     """A noise-free recording of an arm with an effect; and the gap of its simulator."""
     robot, rng = arm("planar"), np.random.default_rng(4)
-    reference = random_fourier(robot, duration=5.0, rate=500.0, seed=rng)
+    reference = random_fourier(robot, duration=3.5, rate=500.0, seed=rng)
     effects = [effect_of(effect_id, **EXACT.get(effect_id, {}))] if effect_id else []
     plant = Plant(robot, effects, nominal=robot, noise=Noise.none(robot.size))
     with warnings.catch_warnings():

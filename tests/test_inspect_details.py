@@ -376,3 +376,11 @@ def test_a_log_that_repeats_itself_is_told_from_where(start):
     assert doubt.evidence == len(once) and f"from row {len(once) + 1} " in doubt.line
     once = log(SMOOTH, tau=(2 * SMOOTH)[:, None])
     assert not [d for d in doubts_of_rows(once) if "repeats" in d.line]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_glitch_is_told_with_the_positions_beside_it(sign):
+    x = moved(200, 0.3 * sign)
+    (doubt,) = [d for d in doubts_of_rows(log(x)) if "glitch" in d.text]
+    beside = f"{x[200]:.6g} between {x[199]:.6g} and {x[201]:.6g}, the first of 1"
+    assert beside in doubt.text and x[199] != x[201] and "row 201" in doubt.line

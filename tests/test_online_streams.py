@@ -5,13 +5,19 @@ from functools import cache
 
 import numpy as np
 import pytest
+from arms import MODELS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from streams import FAULTS, damaged
 from test_online import RATE, after_thirty_seconds, arm, effects, log, tracked
 
+from hybrid.dynamics import inverse_dynamics
+from hybrid.effects import effects_from_text
 from hybrid.errors import IdentificationError
 from hybrid.online import Health, OnlineIdentifier, Sample
+from hybrid.plant import random_fourier
+from hybrid.plant.scale import joint_scales
+from hybrid.robot import Robot
 
 LEFT_OUT = ("not_finite", "implausible", "repeated", "late", "jumped")
 
@@ -163,8 +169,18 @@ TIMES = st.one_of(
 
 
 @cache
+def planar():
+    return Robot.load(MODELS / "planar.xml")
+
+
+@cache
 def warm():
-    return samples(seconds=3.0)[:200]
+    """What an arm of two joints shows in its first 0.8 s."""
+    rng = np.random.default_rng(0)
+    ref = random_fourier(planar(), duration=3.0, rate=RATE, seed=rng)
+    links = planar().chain.inertial
+    tau = inverse_dynamics(planar().chain, links, ref.q, ref.v, ref.a)
+    return [Sample(float(ref.t[k]), ref.q[k], tau[k]) for k in range(200)]
 
 
 @settings(max_examples=20, deadline=None)
@@ -175,13 +191,15 @@ def warm():
     ),
 )
 def test_whatever_comes_the_estimate_stays_finite_and_the_counts_add_up(exact, rows):
-    to, t = tracker(), 0.0
+    robot = planar()
+    kinds = effects_from_text("coulomb,viscous", robot.joints, joint_scales(robot))
+    to, t = OnlineIdentifier(robot, kinds, rate=RATE), 0.0
     for step, values in rows:
         t = t + step if np.isfinite(step) and abs(t) < 1e300 else step
-        q, tau, v, a = (np.full(6, x) * np.linspace(0.5, 1, 6) for x in values)
+        q, tau, v, a = (np.full(2, x) * [0.5, 1.0] for x in values)
         to.update(Sample(t, q, tau, v, a) if exact else Sample(t, q, tau))
     for k, s in enumerate(warm()):
-        still = np.zeros(6)
+        still = np.zeros(2)
         to.update(Sample(s.t, s.q, s.tau, still + k % 2, still) if exact else s)
     assert np.all(np.isfinite(to.theta)) and np.all(np.isfinite(to.std))
     assert np.all(np.isfinite(to.noise)) and np.all(np.isfinite(to.error))

@@ -16,6 +16,7 @@ from hybrid.plant import Noise, Reference, random_fourier
 from hybrid.plant.arm import build_arm
 from hybrid.plant.laws import Laws
 from hybrid.plant.lockstep import Lockstep
+from hybrid.plant.rollout import Windows
 from hybrid.plant.servo import Servo
 
 RATE, SAMPLES = 500.0, 100_000
@@ -145,3 +146,18 @@ def test_friction_below_its_width_is_that_at_its_width_in_a_plant():
     assert dry[0.2] == pytest.approx(2.0) and dry[-0.2] == pytest.approx(-3.0)
     assert dry[1e-3] == dry[0.09] == pytest.approx(2.0 + 29.0 * 0.25**2)
     assert dry[-1e-3] == dry[-0.09] == pytest.approx(-3.0 - 29.0 * 0.25**2)
+
+
+def test_windows_are_cut_out_of_their_motions_and_end_with_their_last_sample():
+    windows = Windows(np.array([0, 1, 1]), np.array([3, 0, 4]), 2)
+    signals = [np.arange(9.0)[:, None], 100.0 + np.arange(6.0)[:, None]]
+    found = windows.of(signals)[:, :, 0]
+    np.testing.assert_array_equal(
+        found.T, [[3, 4, 5], [100, 101, 102], [104, 105, 105]]
+    )
+    fine = [np.arange(17.0), 100.0 + np.arange(11.0)]  # twice as many a second
+    found = windows.of(fine, 2)
+    assert found.shape == (5, 3)
+    np.testing.assert_array_equal(found[:, 0], [6, 7, 8, 9, 10])
+    np.testing.assert_array_equal(found[:, 2], [108, 109, 110, 110, 110])
+    np.testing.assert_array_equal(windows.first(signals)[:, 0], [3, 100, 104])

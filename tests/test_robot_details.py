@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pendulum import pendulum
+from scipy.spatial.transform import Rotation
+
+from hybrid.robot.build import simulable
 
 ZERO = np.zeros((9, 2))
 X = np.random.default_rng(0).uniform(-2.0, 2.0, (9, 2))
@@ -40,3 +43,20 @@ def test_a_ripple_of_a_file_turns_with_its_joint():
     found = robot.joint_torque(X, ZERO, ZERO)
     np.testing.assert_allclose(found[:, 1], expected, atol=1e-12)
     assert not found[:, 0].any()
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0])
+def test_rounding_of_a_flat_link_is_mended_by_little_and_a_wrong_one_stays(size):
+    """Of a plate the largest moment is the sum of the others, to the last digit."""
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+    for excess in (-1e-2, 1e-9, 1e-2):
+        moments = size * np.array([1.0, 2.0, 3.0 + excess])
+        inertia = turn @ np.diag(moments) @ turn.T
+        mass, center, found = simulable(2.0, np.ones(3), inertia)
+        after = np.linalg.eigvalsh(found)
+        assert mass == 2.0 and center.tolist() == [1.0, 1.0, 1.0]
+        if excess == 1e-9:
+            assert after[2] <= after[0] + after[1]
+            np.testing.assert_allclose(after, moments, rtol=1e-7)
+        else:
+            np.testing.assert_array_equal(found, inertia)

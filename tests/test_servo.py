@@ -179,7 +179,7 @@ def test_a_late_command_is_found_with_its_delay(folder):
 
 def test_a_limit_of_torque_far_below_that_of_the_file_is_found(folder):
     limits = np.array([[-4.0, 4.0], [-0.6, 0.6]])
-    logs = [log(k, seconds=8.0, actuator_forcerange=limits) for k in range(3)]
+    logs = [log(k, seconds=6.0, actuator_forcerange=limits) for k in range(2)]
     fit = fit_servo(arm(folder), logs)
     (stall,) = (x for x in fit.findings if x.joint == "elbow" and x.quantity == "stall")
     assert stall.value == pytest.approx(0.6, rel=0.1)

@@ -1,5 +1,6 @@
 """Small parts by themselves: laws of one joint, limits, scaling, geometry, searches."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -279,3 +280,17 @@ def test_a_drive_that_is_often_at_its_limit_is_named():
         Plant(robot, []).run([reference], seed=np.random.default_rng(0))
     texts = [str(x.message) for x in said if "at its torque limit" in str(x.message)]
     assert [x.split("'")[1] for x in texts] == ["hinge_1"]
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_the_share_of_time_at_a_limit_does_not_depend_on_the_number_of_motions(times):
+    robot = replace(pendulum(2), tau_max=np.array([60.0, 0.5]))
+    reference = random_fourier(robot, duration=2.0, rate=100.0, order=3, seed=0)
+    said = []
+    for references in ([reference], [reference] * times):
+        with pytest.warns(HybridWarning, match="at its torque limit") as warned:
+            Plant(robot, []).run(references, seed=np.random.default_rng(0))
+        said.append(sorted({str(x.message) for x in warned}))
+    assert said[0] == said[1]
+    (share,) = re.findall(r"for (\d+)%", " ".join(said[0]))
+    assert 5 < int(share) <= 100

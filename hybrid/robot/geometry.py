@@ -214,6 +214,9 @@ def _pieces(points: Array, triangles: np.ndarray) -> Iterator[Array]:
             break
         corners = np.concatenate([corners[~longest], _halved(corners, edges, longest)])
     middles = corners.mean(axis=1)
+    if not np.ptp(middles, axis=0).any():  # one triangle has no pieces
+        yield corners.reshape(-1, 3)
+        return
     _, group = kmeans2(middles, _PIECES, minit="++", rng=np.random.default_rng(0))
     for k in range(_PIECES):
         if (group == k).any():

@@ -1,0 +1,60 @@
+"""A URDF file with other numbers keeps the drives that it has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import quiet
+
+from hybrid.exports import build_simulator
+from hybrid.robot import Robot
+
+LINK = """<link name="{0}"><inertial><origin xyz=".1 0 0"/><mass value="2"/><inertia
+  ixx=".01" ixy="0" ixz="0" iyy=".02" iyz="0" izz=".02"/></inertial></link>"""
+JOINT = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>
+  <origin xyz=".3 0 0"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1" effort="9" velocity="2"/></joint>"""
+DRIVE = """<transmission name="{0}_drive"><type>SimpleTransmission</type>
+  <joint name="{0}"/><actuator name="{0}_motor">{1}</actuator></transmission>"""
+GEAR, ROTOR = '<drake:gear_ratio value="10"/>', '<drake:rotor_inertia value="2e-3"/>'
+
+
+def robot_of(tmp_path, drives):
+    text = '<robot name="two" xmlns:drake="http://drake.mit.edu"><link name="base"/>'
+    text += LINK.format("upper") + LINK.format("lower")
+    text += JOINT.format("first", "base", "upper")
+    text += JOINT.format("second", "upper", "lower") + drives + "</robot>"
+    (tmp_path / "arm.urdf").write_text(text)
+    return quiet(Robot.load, tmp_path / "arm.urdf")[0]
+
+
+@pytest.mark.parametrize(
+    ("inside", "reflected"),
+    [("", 0.0), (GEAR, 0.0), (ROTOR, 2e-3), (GEAR + ROTOR, 0.2)],
+)
+def test_a_rotor_is_written_into_the_drive_that_a_file_has(inside, reflected, tmp_path):
+    """On its own side of the gear: there a hundredth of it turns ten times as fast."""
+    robot = robot_of(
+        tmp_path, DRIVE.format("first", "") + DRIVE.format("second", inside)
+    )
+    np.testing.assert_allclose(robot.chain.armature, [0.0, reflected])
+    new = replace(robot, chain=replace(robot.chain, armature=np.array([0.0, 0.5])))
+    build_simulator(new, kind="urdf").write(tmp_path / "new.urdf")
+    written = (tmp_path / "new.urdf").read_text()
+    assert written.count("<transmission") == 2
+    assert written.count("rotor_inertia") == 1
+    assert written.count("gear_ratio") == inside.count("gear_ratio")
+    again, _ = quiet(Robot.load, tmp_path / "new.urdf")
+    np.testing.assert_allclose(again.chain.armature, [0.0, 0.5])
+    for name in ("inertial", "translation", "axis"):
+        np.testing.assert_array_equal(
+            getattr(again.chain, name), getattr(robot.chain, name)
+        )
+
+
+def test_a_joint_without_a_drive_gets_one(tmp_path):
+    robot = robot_of(tmp_path, DRIVE.format("second", GEAR))
+    new = replace(robot, chain=replace(robot.chain, armature=np.array([0.3, 0.0])))
+    build_simulator(new, kind="urdf").write(tmp_path / "new.urdf")
+    again, _ = quiet(Robot.load, tmp_path / "new.urdf")
+    np.testing.assert_allclose(again.chain.armature, [0.3, 0.0])
