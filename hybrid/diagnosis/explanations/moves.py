@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposals import Proposals
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.progress import Progress, silent
+from hybrid.progress import Progress
 
 LEAST_GAIN = 0.5  # nat, least improvement of the score by a step
 
@@ -22,16 +20,9 @@ class Moves(Proposals):
         causes: The present explanation.
     """
 
-    def __init__(
-        self,
-        gap: Gap,
-        learn: NDArray[np.bool_] | None = None,
-        without: Sequence[str] = (),
-    ) -> None:
-        super().__init__(gap, learn, without)
-        self.causes: list[Cause] = []
-        self._certain: list[Cause] = []  # causes that stay
-        self._progress: Progress = silent
+    causes: list[Cause]
+    _certain: list[Cause]  # causes that stay
+    _progress: Progress
 
     def _doubtful(self) -> list[Cause]:
         """Causes that may be exchanged or removed."""

@@ -43,6 +43,7 @@ class Search(Moves):
         without: Sequence[str] = (),
     ) -> None:
         super().__init__(gap, learn, without)
+        self.causes, self._certain, self._progress = [], [], silent
         self.beliefs: list[Belief] = []
         self.whole: list[Cause] = []
         self._checked: dict[Cause, frozenset[object]] = {}
