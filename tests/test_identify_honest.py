@@ -30,7 +30,8 @@ def little_data():
             identify, arm("planar"), found[:3], cutoff=15.0, stages=("rigid",)
         )
         new.append(fit.held_out["IRLS"] / rms(fit, found[3:], "IRLS"))
-        old.append(fit.held_out["IRLS"] / rms(fit, found[:3], "IRLS"))
+        fitted, _ = quiet(rms, fit, found[:3], "IRLS")
+        old.append(fit.held_out["IRLS"] / fitted)
     return np.array(new), np.array(old)
 
 

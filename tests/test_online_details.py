@@ -1,11 +1,14 @@
 """Parts of the online identification by themselves, against closed forms."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 from pendulum import pendulum
 
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
+from hybrid.online import payload_change
 from hybrid.online.initial_estimate import InitialEstimate, payload_sizes
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import PayloadChange, likely_payload
@@ -100,10 +103,13 @@ RATE, MEMORY = 100.0, 0.4
 FADE = np.exp(-1 / (RATE * MEMORY))
 
 
-def pushed(error, inflation=1.0, seconds=12.0, after=11.0, **options):
+def pushed(
+    error, inflation=1.0, seconds=12.0, after=11.0, mass=1e3, memories=(MEMORY,)
+):
     """Times at which a payload is noticed that shows as an error from a time on."""
-    given = {"rate": RATE, "mass": 1e3, "reach": 0.1, "memories": (MEMORY,)} | options
-    to, found, J = PayloadChange(**given), [], np.array([[1.0, 0.0, 0.0, 0.0]])
+    with patch.object(payload_change, "_MEMORIES", memories):
+        to = PayloadChange(rate=RATE, mass=mass, reach=0.1)
+    found, J = [], np.array([[1.0, 0.0, 0.0, 0.0]])
     for k in range(round(seconds * RATE)):
         t = k / RATE
         to.add(J, np.array([error * (t >= after)]))
