@@ -585,7 +585,6 @@ def test_a_cause_at_another_joint_that_is_there_as_well_is_no_alternative():
 
 
 def test_an_unknown_law_that_takes_a_place_leaves_causes_at_other_joints_alone():
-    """And gives way itself to the effects that explain as much."""
     at = search(*BOTH, DRAGS, size=2)
     drags, rubs, other = (cause(at, e) for e in (DRAGS, *BOTH))
     tiny = cause(at, Viscous((1,), {"coefficient": 0.01}))

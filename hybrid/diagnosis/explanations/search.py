@@ -97,9 +97,7 @@ class Search(Moves):
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._restart()
         self.beliefs = beliefs(self)
-        if self._simplify():
-            self.beliefs = beliefs(self)
-        while self._replace_improbable():
+        while self._simplify() or self._replace_improbable():
             self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
@@ -273,10 +271,7 @@ class Search(Moves):
         laws = [x for x in self.laws.open(self.causes) if here & {*x.place[1]}]
         if laws:
             base = self.columns(self.causes)
-            law = self.best_law(laws, base, base, base[:0], {}).make()
-            self.causes.append(law)
-            self._remove()
-            if law in self.causes:
-                self._exchange(law)
+            self.causes.append(self.best_law(laws, base, base, base[:0], {}).make())
+        self._remove()
         self._certain = []
         return True
