@@ -128,8 +128,7 @@ class Identification:
             # At all speeds of the log, or only at speeds whose ripple is below the
             # cut-off.
             limit = partial(in_band, cutoff=self.data.cutoff)
-            slow = {j: list(map(limit, x)) for j, x in new.items()}
-            slow = {j: x for j, x in slow.items() if x != new[j]}
+            slow = {j: y for j, x in new.items() if (y := [*map(limit, x)]) != x}
             options = [
                 {j: [*self._replaceable(self.best, j), *x] for j, x in ripples.items()}
                 for ripples in (new, slow)
