@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pendulum import RATE, pendulum, swings, with_torque
 
@@ -32,6 +32,7 @@ seeds = st.integers(0, 10_000)
 
 
 @given(seed=seeds, rank=st.integers(1, 5))
+@example(seed=370, rank=4)  # two columns are nearly one: later pivots are rounding
 @settings(max_examples=30)
 def test_what_the_data_leave_open_is_zero_in_units_of_the_columns(seed, rank):
     """The shortest solution of the normal equations, with columns of unit length."""

@@ -27,7 +27,9 @@ RANK = 1e-13  # smallest eigenvalue that is not zero, as a share of the largest
 _ROUNDING = 1e-12  # variance that is rounding error, as a share of the torque's power
 _TOLERANCE = 1e-6  # relative change of the unknowns at which the iteration ends
 _MOST_ITERATIONS = 60
-_FULL_RANK = 1e-5  # smallest diagonal of a Cholesky factor that proves full rank
+# Smallest diagonal of a Cholesky factor that proves full rank. Rounding errors of later
+# ones grow by the inverse square of a small one, and must stay below it.
+_FULL_RANK = float(np.finfo(float).eps ** 0.25)
 _MOST_CHANGES = 4  # of the bounds that hold, for each unknown
 _PATIENCE = 3  # steps in which as many unknowns are on the wrong side
 OUTLYING = 3.0  # of the median misfit of a block: above it, a block counts less
