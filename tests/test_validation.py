@@ -50,6 +50,18 @@ def test_a_log_that_the_model_was_identified_from_is_no_validation(fit, logs, tm
     validate(loaded, [replace(logs[2], tau=1.1 * logs[2].tau), logs[3]])
 
 
+def test_the_other_part_of_a_log_is_a_validation(logs):
+    motion = motion_from_recording(logs[0], cutoff=20.0)
+    early = motion.t - motion.t[0] < 4.0
+    fitting, scoring = (
+        replace(motion, mask=motion.mask & use) for use in (early, ~early)
+    )
+    fit, _ = quiet(identify, arm("planar"), [fitting, *logs[1:3]], cutoff=10.0)
+    validate(fit.model, [scoring])
+    with pytest.warns(HybridWarning, match="this is no valid"):
+        validate(fit.model, [fitting])
+
+
 def test_scores_are_those_of_predicted_and_measured_torque(fit, logs):
     """Worked out here by hand: predict at the rate of the log, take moving samples."""
     model, cutoff = fit.model, fit.model.cutoff

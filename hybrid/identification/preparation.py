@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import zip_longest
@@ -79,6 +80,15 @@ def checked_logs(
     for x in given:
         logs += check_recordings([x], robot) if isinstance(x, Recording) else [x]
     return logs
+
+
+def log_hash(log: Recording | Motion) -> str:
+    """Hash of the measured torque that a log offers, which identifies the log.
+
+    Masked samples are not offered: the one half of a log is not the other.
+    """
+    tau = log.tau[log.mask] if isinstance(log, Motion) else log.tau
+    return hashlib.sha256(np.ascontiguousarray(tau).tobytes()).hexdigest()[:16]
 
 
 def motions_from_logs(

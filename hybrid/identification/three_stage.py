@@ -18,10 +18,10 @@ from hybrid.identification.fit import Fit
 from hybrid.identification.identification import Identification
 from hybrid.identification.preparation import (
     checked_logs,
+    log_hash,
     prepare,
     prepare_at_best_cutoff,
 )
-from hybrid.model.dynamic_model import log_hash
 from hybrid.recording import Recording
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
 from hybrid.robot import Robot
@@ -97,7 +97,7 @@ def identify(
             run()
             held_out[f"+ {name}"] = terms.error
     fit = terms.fit(held_out)
-    hashes = tuple(log_hash(log.tau) for log in logs)
+    hashes = tuple(log_hash(log) for log in logs)
     fit = replace(fit, model=replace(fit.model, logs=hashes))
     for text in fit.warnings:
         warnings.warn(text, HybridWarning, stacklevel=2)

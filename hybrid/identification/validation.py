@@ -13,8 +13,13 @@ from hybrid.arguments import MODEL, RECORDING, check_argument
 from hybrid.arrays import Array
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.identification.data import check_torque
-from hybrid.identification.preparation import prepare_motions
-from hybrid.model.dynamic_model import DynamicModel, check_same_arm, log_hash
+from hybrid.identification.preparation import (
+    checked_logs,
+    log_hash,
+    motions_from_logs,
+    prepare_motions,
+)
+from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
@@ -123,9 +128,10 @@ def validate(
     check_argument(model, DynamicModel, MODEL)
     if robot is not None:
         check_same_arm(model, robot)
-    motions, _ = prepare_motions(model.robot, recordings, model.cutoff)
+    logs = checked_logs(model.robot, recordings)
+    motions, _ = motions_from_logs(logs, model.cutoff)
     check_torque(motions)
-    for source in (m.source for m in motions if log_hash(m.tau) in model.logs):
+    for source in (x.source for x in logs if log_hash(x) in model.logs):
         warnings.warn(
             f"{source}: the model was identified from this log, so this is no "
             "validation; valid are other logs",

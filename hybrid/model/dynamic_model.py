@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -39,7 +38,8 @@ class DynamicModel:
         covariance: Covariance of the base values, shape (b, b), or (0, 0) if unknown.
         simpler: Models of earlier stages and simpler estimators, by name, for
             comparison.
-        logs: Hash of each log that it was identified from, see :func:`log_hash`.
+        logs: Hash of each log that it was identified from, by
+            :func:`~hybrid.identification.preparation.log_hash`.
     """
 
     robot: Robot
@@ -129,11 +129,6 @@ class DynamicModel:
                 or has an unknown effect.
         """
         return read_model(cls, Path(path))
-
-
-def log_hash(tau: Array) -> str:
-    """Hash of the measured torque of a log, shape (N, n), which identifies the log."""
-    return hashlib.sha256(np.ascontiguousarray(tau).tobytes()).hexdigest()[:16]
 
 
 def check_same_arm(model: DynamicModel, robot: Robot) -> None:
