@@ -46,12 +46,14 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=600)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--scheduler", help="address of a Dask scheduler")
     parser.add_argument("--log", type=Path, default=LOG)
     args, console = parser.parse_args(), Console(width=200)
     rows = run_cases(
         cases_of(args.cases, args.seed),
         args.log,
         workers=args.workers,
+        scheduler=args.scheduler,
         tell=lambda row: console.print(row["key"], row.get("verdict", "no answer")),
     )
     command = (

@@ -5,7 +5,7 @@ tells nothing of a machine that others use. Everything is counted by further uni
 that what is loaded once counts by itself. While it waits, Dask takes a share of a core,
 which is measured apart and counted for the time that units take on cores of their own.
 The efficiency at two workers is the time of the units at one worker over that of all
-processes at two.
+processes at two: the median of runs, each beside its own at one worker.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import tempfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import process_time, sleep, time
+
+import numpy as np
 
 from hybrid.fleets.fleet import fleet
 from hybrid.fleets.plan import Plan
@@ -124,24 +126,44 @@ def further(few: Cost, many: Cost, share: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Costs:
-    """Few and many units at one worker, the same at two, and what waiting takes."""
+    """What few and many units cost.
 
-    one: tuple[Cost, Cost]
-    two: tuple[Cost, Cost]
+    Attributes:
+        one: Few and many units at one worker, of each run.
+        two: The same at two workers.
+        share: Result of :func:`waiting`.
+    """
+
+    one: tuple[tuple[Cost, Cost], ...]
+    two: tuple[tuple[Cost, Cost], ...]
     share: float
 
     @classmethod
-    def measured(cls, plan: Plan, few: int, many: int) -> Costs:
-        """Measure few and many arms of a plan."""
+    def measured(cls, plan: Plan, few: int, many: int, runs: int) -> Costs:
+        """Measure few and many arms of a plan, some times."""
         share = waiting()  # first, since it loads Dask
-        one, two = ((measured(plan, few, w), measured(plan, many, w)) for w in (1, 2))
+        both = [
+            [(measured(plan, few, w), measured(plan, many, w)) for w in (1, 2)]
+            for _ in range(runs)
+        ]
+        one, two = zip(*both, strict=True)
         return cls(one, two, share)
 
     @property
-    def efficiency(self) -> float:
-        """Time of a unit at one worker over that of all processes at two."""
-        unit, _ = further(*self.one, self.share)
-        return unit / sum(further(*self.two, self.share))
+    def unit(self) -> tuple[float, float]:
+        """Median cost of a unit at one worker, see :func:`further`."""
+        each = np.array([further(*x, self.share) for x in self.one])
+        unit, overhead = np.median(each, axis=0)
+        return float(unit), float(overhead)
+
+    @property
+    def efficiencies(self) -> list[float]:
+        """Of each run, time of a unit at one worker over that of all at two."""
+        pairs = zip(self.one, self.two, strict=True)
+        return sorted(
+            further(*one, self.share)[0] / sum(further(*two, self.share))
+            for one, two in pairs
+        )
 
 
 def costs(found: Costs, log_bytes: float) -> list[Table]:
@@ -151,22 +173,25 @@ def costs(found: Costs, log_bytes: float) -> list[Table]:
         found: What was measured.
         log_bytes: Size of the logs of a unit.
     """
-    few, many = found.one
-    unit, overhead = further(few, many, found.share)
+    few, many = found.one[0]
+    unit, overhead = found.unit
+    every = found.efficiencies
     loading = max(0.0, many.children - unit * many.units)
     rows = (
         ("processor time of a unit, with its baseline", f"{1e3 * unit:.0f} ms"),
         ("units per hour and core", f"{3600 / unit:,.0f}"),
         ("overhead of a unit where the work is handed out", f"{1e3 * overhead:.1f} ms"),
         ("– share of a core that waiting takes", f"{100 * found.share:.1f} %"),
-        ("efficiency at two workers", f"{found.efficiency:.2f}"),
+        ("efficiency at two workers, median and range",
+         f"{np.median(every):.2f} ({every[0]:.2f}–{every[-1]:.2f})"),
         ("loading of a child, once", f"{loading:.1f} s"),
         ("memory of a child, at the most", f"{many.child_mb:.0f} MB"),
         ("memory of client, scheduler and analysis", f"{many.parent_mb:.0f} MB"),
         ("size of its logs, of its rows", f"{log_bytes / 1e3:.0f} kB, "
          f"{many.stored / many.units / 1e3:.1f} kB"),
     )  # fmt: skip
-    measured_on = f"{many.units - few.units:,} units more, processor time"
+    more = many.units - few.units
+    measured_on = f"{more:,} units more, processor time, {len(every)} runs"
     return [
         Table(("cost", ""), rows, f"Cost, from {measured_on}"),
         _large_fleet(unit, overhead, many, log_bytes),

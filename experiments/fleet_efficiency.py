@@ -30,9 +30,10 @@ LOG = MODELS / "ur10_bag" / "ur10_bag.mcap"
 def main() -> None:
     """Copy logs, measure, print and write the table."""
     parser = command_line(__doc__, "fleet_efficiency")
-    parser.add_argument("--arms", type=int, default=4)
+    parser.add_argument("--arms", type=int, default=9)
     parser.add_argument("--weeks", type=int, default=3)
     parser.add_argument("--logs", type=int, default=5, help="in a week")
+    parser.add_argument("--runs", type=int, default=5)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         for arm in range(args.arms):
@@ -44,10 +45,10 @@ def main() -> None:
                     shutil.copy(LOG, own / f"{day}.mcap")
         plan = plan_from_dict({"robot": str(MODELS / "ur10.urdf"), "arms": folder})
         bytes_read = args.logs * LOG.stat().st_size
-        tables = costs(Costs.measured(plan, 1, args.arms), bytes_read)
+        tables = costs(Costs.measured(plan, 1, args.arms, args.runs), bytes_read)
     command = (
         f"python experiments/fleet_efficiency.py --arms {args.arms} "
-        f"--weeks {args.weeks} --logs {args.logs}"
+        f"--weeks {args.weeks} --logs {args.logs} --runs {args.runs}"
     )
     text = "\n".join(f"{x.caption}\n\n{markdown_table(x)}" for x in tables)
     text = f"# Cost of a fleet of UR10s\n\n    {command}\n\n{text}"

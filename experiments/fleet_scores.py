@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from blind.measures import Ratio
 from fleet_plant import FIRST_DAY, SIZES, Arm
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 
 from hybrid.fleets.fleet import Fleet
 from hybrid.report import Table
@@ -57,22 +57,45 @@ def by_kind(outcomes: Sequence[Mapping[str, Any]], name: str) -> Table:
                 rows.append(_row(kind, f"{size:g}", own))
     faulty = [x for x in outcomes if x["kind"]]
     rows.append(_row("all", "", faulty))
-    header = ("fault", "size", "arms", "found", "95 %", "named", "95 %")
-    caption = f"{name}: faults found up to the last week, and named by the surest alarm"
-    return Table((*header, "delay, weeks"), tuple(rows), caption)
+    header = (
+        "fault", "size", "arms", "found", "95 %", "named", "95 %",
+        "median delay, weeks", "95 %",
+    )  # fmt: skip
+    caption = (
+        f"{name}: faults found up to the last week, and named by the surest alarm; an "
+        "arm that was not found is later than all"
+    )
+    return Table(header, tuple(rows), caption)
 
 
 def _row(kind: str, size: str, own: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     hits = [x for x in own if x["found"]]
     named = sum(x["named"] for x in hits)
-    delays = [x["delay"] for x in hits]
+    delays = [x["delay"] if x["found"] else np.inf for x in own]
     low, high = Ratio(len(hits), len(own)).interval
     below, above = Ratio(named, len(hits)).interval
-    weeks = f"{np.median(delays):.0f} ({max(delays):.0f})" if delays else "–"
     return (
         kind, size, str(len(own)), f"{len(hits)}", f"{low:.2f}–{high:.2f}",
-        f"{named} of {len(hits)}", f"{below:.2f}–{above:.2f}", weeks,
+        f"{named} of {len(hits)}", f"{below:.2f}–{above:.2f}",
+        _weeks(float(np.median(delays))),
+        "–".join(map(_weeks, median_interval(delays))),
     )  # fmt: skip
+
+
+def median_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Interval that holds the median with 95 % at least, from order statistics.
+
+    Of five values or fewer it is all there is: from nothing to infinity.
+    """
+    count = int(binom.ppf(0.025, len(values), 0.5))
+    if count == 0:
+        return 0.0, np.inf
+    ordered = sorted(values)
+    return ordered[count - 1], ordered[-count]
+
+
+def _weeks(delay: float) -> str:
+    return f"{delay:.0f}" if np.isfinite(delay) else "∞"
 
 
 def false_alarms(fleet: Fleet, arms: Sequence[Arm], name: str) -> Table:

@@ -9,7 +9,9 @@ them, and for arms that are watched alone; and what a unit costs.
 
 from __future__ import annotations
 
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +44,16 @@ def variants(plan: Plan, found: Fleet) -> dict[str, Fleet]:
     }
 
 
-def simulated(arms: list[Arm], weeks: int, folder: Path, seed: int) -> None:
+def simulated(
+    arms: list[Arm], weeks: int, folder: Path, seed: int, workers: int
+) -> None:
     """Write the logs that are not there yet."""
-    robot = Robot.load(ARM)
-    for arm in arms:
-        if not (folder / f"{arm.name}.json").exists():
-            record(robot, arm, weeks, folder / arm.name, seed)
+    todo = [arm for arm in arms if not (folder / f"{arm.name}.json").exists()]
+    robot, folders = Robot.load(ARM), [folder / arm.name for arm in todo]
+    with ProcessPoolExecutor(workers) as pool:
+        jobs = repeat(robot), todo, repeat(weeks), folders, repeat(seed)
+        for _ in pool.map(record, *jobs):
+            pass
 
 
 def main() -> None:
@@ -61,7 +67,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     args, console = parser.parse_args(), Console(width=200)
     arms = list(line(args.healthy, args.each, args.weeks, args.seed))
-    simulated(arms, args.weeks, args.logs, args.seed)
+    simulated(arms, args.weeks, args.logs, args.seed, args.workers)
     plan = plan_from_dict(
         {"robot": str(ARM.resolve()), "tool": TOOL, "arms": str(args.logs.resolve())}
     )
@@ -72,7 +78,7 @@ def main() -> None:
         runs[name] = outcomes(each, arms, joints)
         tables += [by_kind(runs[name], name), false_alarms(each, arms, name)]
     sizes = [x.stat().st_size for x in args.logs.rglob("*.parquet")]
-    tables += costs(Costs.measured(plan, 2, 8), sum(sizes) / len(sizes))
+    tables += costs(Costs.measured(plan, 2, 8, 3), sum(sizes) / len(sizes))
     args.out.mkdir(parents=True, exist_ok=True)
     command = (
         f"python experiments/fleet_study.py --healthy {args.healthy} "

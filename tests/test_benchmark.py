@@ -20,6 +20,7 @@ from blind.strangers import STRANGERS
 from blind.sysid import SysidFit, fit_sysid
 from blind.tables import by_robot, targets_table, write_benchmark
 from diagnosed import RIPPLE, STRIBECK, planar
+from distributed import LocalCluster
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -277,13 +278,52 @@ def test_a_plant_without_effects_is_no_alarm_and_is_not_answered_twice(tmp_path)
     assert told == []
 
 
+def stand_in(answer):
+    """A child that is no process of its own."""
+
+    class Child:
+        def __init__(self, module):
+            assert module == "blind.run"
+
+        def ask(self, question, limit):
+            return answer(json.loads(question))
+
+        def end(self):
+            pass
+
+    return Child
+
+
 def test_an_answer_of_other_code_is_none(tmp_path, monkeypatch):
     log, case = tmp_path / "cases.jsonl", Case(PLANAR, "none", 1, 0)
     log.write_text(json.dumps({"key": case.key, "code": "another"}) + "\n")
-    monkeypatch.setattr("blind.run.run_case", lambda case: {"key": case.key})
+    answered = stand_in(lambda question: {"key": case.key})
+    monkeypatch.setattr("hybrid.fleets.worker.Child", answered)
     told = []
     (row,) = run_cases([case], log, tell=told.append)
     assert told == [row] and row["code"] == code_digest()
+
+
+def test_cases_go_to_workers_and_one_without_an_answer_counts_as_crashed(
+    tmp_path, monkeypatch
+):
+    cases = [Case(PLANAR, "none", k, 0) for k in range(5)]
+
+    def answer(question):
+        case = Case(**question["case"])
+        if case.index == 3:
+            raise TimeoutError
+        return {"key": case.key}
+
+    monkeypatch.setattr("hybrid.fleets.worker.Child", stand_in(answer))
+    with LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        rows = run_cases(cases, tmp_path / "x.jsonl", scheduler=address)
+    assert [x["key"] for x in rows] == [x.key for x in cases]
+    (crashed,) = (x for x in rows if "crashed" in x)
+    assert crashed["index"] == 3 and crashed["crashed"].startswith("late: no result")
 
 
 def test_half_a_line_of_an_interrupted_run_is_run_again(tmp_path):

@@ -190,6 +190,9 @@ class Here:
 
     asked: list[str] = []
 
+    def __init__(self, module):
+        assert module == "hybrid.fleets.unit"
+
     def ask(self, question, limit):
         self.asked.append(json.loads(question)["task"])
         return answer(json.loads(question))

@@ -10,7 +10,6 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict
 from hashlib import sha256
@@ -30,10 +29,13 @@ from hybrid.diagnosis.diagnose import examine
 from hybrid.effects import effect_classes, effect_from_dict
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.files import write_json
+from hybrid.fleets.run import answers, connected
+from hybrid.fleets.serving import serve
 from hybrid.recording import Recording, read_all
 from hybrid.robot import Robot
 
 Row = dict[str, Any]
+_LIMIT = 900.0  # s for a case, with its plant and the other methods
 Causes = Mapping[str, tuple[Named, ...]]  # by method
 
 
@@ -42,6 +44,7 @@ def run_cases(
     log: Path,
     *,
     workers: int = 1,
+    scheduler: str | None = None,
     tell: Callable[[Row], None] | None = None,
 ) -> list[Row]:
     """Rows of all cases; what the same code has answered already is not run again.
@@ -49,7 +52,9 @@ def run_cases(
     Args:
         cases: The cases.
         log: One JSON line for each case that was run; appended to.
-        workers: Number of processes.
+        workers: Number of processes on this machine.
+        scheduler: Address of a Dask scheduler, whose workers have this folder on
+            their ``PYTHONPATH``; this machine by default.
         tell: Called with each new row.
 
     Raises:
@@ -62,7 +67,7 @@ def run_cases(
     rows = {k: x for k, x in read_rows(log).items() if x.get("code") == code}
     wanted = [c for c in cases if c.key not in rows]
     log.parent.mkdir(parents=True, exist_ok=True)
-    for answer in _rows(wanted, workers):
+    for answer in _rows(wanted, workers, scheduler):
         row = answer | {"code": code}
         with log.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
@@ -95,13 +100,16 @@ def read_rows(log: Path) -> dict[str, Row]:
     return {row["key"]: row for row in rows}
 
 
-def _rows(cases: Sequence[Case], workers: int) -> Iterator[Row]:
-    if workers == 1:
-        yield from map(run_case, cases)
-        return
-    with ProcessPoolExecutor(workers) as pool:
-        for future in as_completed([pool.submit(run_case, c) for c in cases]):
-            yield future.result()
+def _rows(cases: Sequence[Case], workers: int, scheduler: str | None) -> Iterator[Row]:
+    """The answers of child processes; one that is late or lost is no answer."""
+    jobs = ((case, {"case": asdict(case)}, None) for case in cases)
+    os.environ.update(_environment())
+    with connected(scheduler, workers) as client:
+        for case, row in answers(client, jobs, _LIMIT, __name__):
+            if "failed" in row:
+                told = f"{row['failed']}: {row['reason']}"
+                row = {"key": case.key, **asdict(case), "crashed": told}
+            yield row
 
 
 def run_case(case: Case) -> Row:
@@ -197,3 +205,7 @@ def _quiet() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
         yield
+
+
+if __name__ == "__main__":
+    serve(lambda message: run_case(Case(**message["case"])))

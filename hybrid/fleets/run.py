@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid.errors import HybridError
 from hybrid.extras import check_extra
-from hybrid.fleets.worker import LOST, ask, end_children
+from hybrid.fleets.worker import LOST, UNIT, ask, end_children
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -85,7 +85,10 @@ def _reached(scheduler: str) -> Client:
 
 
 def answers(
-    client: Client, jobs: Iterable[tuple[Any, dict[str, Any], str | None]], limit: float
+    client: Client,
+    jobs: Iterable[tuple[Any, dict[str, Any], str | None]],
+    limit: float,
+    module: str = UNIT,
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
     """Send messages to the workers, and yield name and answer as they arrive.
 
@@ -93,6 +96,7 @@ def answers(
         client: Client of the cluster.
         jobs: Name, message and baseline of each job.
         limit: Longest time for one job, [s].
+        module: Module that answers, see :func:`hybrid.fleets.serving.serve`.
     """
     from distributed import as_completed
 
@@ -106,9 +110,8 @@ def answers(
                 models.clear()  # jobs are sorted by arm
                 # Dask repeats a task of a lost worker, but does not scatter data again.
                 models[model] = client.submit(str, model)
-            future = client.submit(
-                ask, message, models.get(model or ""), limit, pure=False, retries=2
-            )
+            question = message, models.get(model or ""), limit, module
+            future = client.submit(ask, *question, pure=False, retries=2)
             names[future] = name
             new.append(future)
         return new

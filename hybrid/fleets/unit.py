@@ -1,18 +1,12 @@
 """The work on one unit: it reads logs and returns a few rows.
 
 It runs in its own process, see :mod:`hybrid.fleets.worker`, and knows nothing of the
-fleet. An error of a log is a row. The process ends when its parent closes the pipe or
-dies, even during a computation. Output of libraries goes to stderr.
+fleet. An error of a log is a row.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import queue
-import sys
 import tempfile
-import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,6 +17,7 @@ from typing import Any
 from hybrid.errors import HybridError
 from hybrid.fleets.estimate import deviations, with_payload
 from hybrid.fleets.plan import opened
+from hybrid.fleets.serving import serve
 from hybrid.fleets.worker import FINDING, LOST, OK, REFUSED, VERDICT
 from hybrid.identification import DynamicModel, identify
 from hybrid.model.model_file import content_from_model
@@ -134,27 +129,5 @@ def _model(text: str) -> DynamicModel:
         return DynamicModel.load(path)
 
 
-def main() -> None:
-    """Answer questions, one line of JSON each, until the parent process ends."""
-    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    questions: queue.Queue[str] = queue.Queue()
-
-    def listen() -> None:
-        for line in sys.stdin:
-            questions.put(line)
-        os._exit(0)
-
-    threading.Thread(target=listen, daemon=True).start()
-    content: dict[str, Any] = {}  # ready
-    while True:
-        out.write(f"{json.dumps(content)}\n")
-        out.flush()
-        try:
-            content = answer(json.loads(questions.get()))
-        except Exception as error:  # a bug must not stop the fleet
-            content = {"failed": REFUSED, "reason": f"{type(error).__name__}: {error}"}
-
-
 if __name__ == "__main__":
-    main()
+    serve(answer)

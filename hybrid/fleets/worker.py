@@ -1,7 +1,8 @@
 """Child processes for units, which can be killed if one hangs.
 
 Each thread of a Dask worker keeps one child with all modules loaded. Questions and
-answers are lines of JSON. A child that takes too long, or dies, is replaced.
+answers are lines of JSON, see :mod:`hybrid.fleets.serving`. A child that takes too
+long, or dies, is replaced.
 """
 
 from __future__ import annotations
@@ -16,21 +17,26 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+UNIT = "hybrid.fleets.unit"
 # Status of a unit.
 OK, REFUSED, LATE, LOST = "ok", "refused", "late", "lost"
 VERDICT, FINDING = "verdict", "finding"  # rows of a diagnosis
 _START = 300.0  # s for a child to load on a busy machine
 _TRIES = 2  # since the system may kill a child that is not at fault
 _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_children: dict[int, Child] = {}  # by thread
+_children: dict[tuple[int, str], Child] = {}  # by thread and module
 
 
 class Child:
-    """A process that answers one question at a time."""
+    """A process that answers one question at a time.
 
-    def __init__(self) -> None:
+    Args:
+        module: Module that it runs.
+    """
+
+    def __init__(self, module: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "hybrid.fleets.unit"],
+            [sys.executable, "-m", module],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -80,33 +86,35 @@ class Child:
                     stream.close()
 
 
-def ask(message: Mapping[str, Any], model: str | None, limit: float) -> dict[str, Any]:
+def ask(
+    message: Mapping[str, Any], model: str | None, limit: float, module: str = UNIT
+) -> dict[str, Any]:
     """The answer of this thread's child; a timeout or death is an answer too.
 
     Args:
         message: See :func:`hybrid.fleets.unit.answer`.
         model: Text of the baseline.
         limit: Longest time, [s].
+        module: Module that the child runs.
     """
     question, reason = json.dumps({**message, "model": model}), ""
+    own = threading.get_ident(), module
     for _ in range(_TRIES):
-        child = _children.get(threading.get_ident())
         try:
-            if child is None:
-                child = _children[threading.get_ident()] = Child()
-            return child.ask(question, limit)
+            if own not in _children:
+                _children[own] = Child(module)
+            return _children[own].ask(question, limit)
         except TimeoutError:
-            _drop()
+            _drop(own)
             return {"failed": LATE, "reason": f"no result within {limit:g} s"}
         except EOFError as error:
-            _drop()
+            _drop(own)
             reason = str(error)
     return {"failed": LOST, "reason": reason}
 
 
-def _drop() -> None:
-    child = _children.pop(threading.get_ident(), None)
-    if child is not None:
+def _drop(own: tuple[int, str]) -> None:
+    if child := _children.pop(own, None):
         child.end()
 
 
