@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.effects.effect import Body, Effect, Port, Quantity
@@ -23,6 +24,7 @@ _IMPACT_WIDTH = 0.011
 # Inertia between backlash and motor, as a share of the rotor's. Without it, a gear with
 # elasticity would have a massless part.
 _GEAR_INERTIA = 0.01
+_SOFT_SHARE = 0.1  # of half the gap, over which simulated teeth become hard
 
 
 class Backlash(Effect):
@@ -94,7 +96,21 @@ class Backlash(Effect):
         play.armature = _GEAR_INERTIA * spec.joint(name).armature
         play.limited, play.range = True, np.array([-half, half])
         play.solref_limit = np.array([_CONTACT_TIME, 1.0])
-        play.solimp_limit[:3] = 0.99, 0.999, 0.1 * half
+        play.solimp_limit[:3] = 0.99, 0.999, _SOFT_SHARE * half
+
+
+def set_play(model: Any, joints: NDArray[np.intp], half: Array, rotor: Array) -> None:
+    """Set other gaps in a compiled model of :meth:`Backlash.edit_spec`.
+
+    Args:
+        model: MuJoCo model.
+        joints: The K joints behind the motors.
+        half: Half of each gap, shape (K,), [rad].
+        rotor: Inertia of each rotor, shape (K,), [kg·m²].
+    """
+    model.dof_armature[joints] = _GEAR_INERTIA * rotor
+    model.jnt_range[joints] = np.stack([-half, half], axis=1)
+    model.jnt_solimp[joints, 2] = _SOFT_SHARE * half
 
 
 def _link_position(acceleration: Array, half: float, step: float) -> Array:

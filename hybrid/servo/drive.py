@@ -11,10 +11,11 @@ The servo ignores position errors within a dead band. Its goal takes at least a 
 ``pace`` for a rad. ``lower`` and ``upper`` are the stops of the joint. A spring pulls
 the joint to its zero. ``mass`` is the mass of the link over that of the file. ``sign``
 is −1 if the axis points the other way. ``ground`` is the height of a centre of mass
-when the link touches the ground. Backlash between a stiff motor and an encoder on the
-link looks like a dead band: motion does not tell them apart.
+when the link touches the ground. Between motor and link a gear may have ``play``, half
+its gap; the encoder, which the servo reads as well, is on the link.
 
-Sources: Canudas de Wit et al. 1995, doi 10.1109/9.376053 (friction).
+Sources: Canudas de Wit et al. 1995, doi 10.1109/9.376053 (friction); Nordin and Gutman
+2002, doi 10.1016/S0005-1098(02)00047-X (backlash).
 """
 
 from __future__ import annotations
@@ -50,6 +51,9 @@ class DriveQuantity:
         least: Smallest value. A presliding below it is unstable in a replay.
         shared: Whether it changes the motion of other joints as much as of its own.
         unsaid: Whether MJCF cannot express it.
+        alone: Whether it is probed at one joint at a time, since it may be unstable at
+            another.
+        probe: Step of finite differences, over that of a fit. Impacts need a long one.
     """
 
     name: str
@@ -61,6 +65,8 @@ class DriveQuantity:
     least: float = -np.inf
     shared: bool = False
     unsaid: bool = False
+    alone: bool = False
+    probe: float = 0.05
 
 
 QUANTITIES = (
@@ -77,6 +83,18 @@ QUANTITIES = (
     DriveQuantity("delay", "s", "command_latency", 0.03, "", False, 0.0),
     DriveQuantity("spring", "N·m/rad", "spring", 0.3, "torque", False, 0.0),
     DriveQuantity("dead_band", "rad", "deadzone", 0.02, "", False, 0.0, unsaid=True),
+    DriveQuantity(
+        "play",
+        "rad",
+        "backlash",
+        0.02,
+        "",
+        False,
+        0.0,
+        unsaid=True,
+        alone=True,
+        probe=0.25,
+    ),
     DriveQuantity("pace", "s/rad", "goal_speed", 1.0, "", False, 0.0, unsaid=True),
     DriveQuantity("lower", "rad", "contact", 0.5, "", False),
     DriveQuantity("upper", "rad", "contact", 0.5, "", False),

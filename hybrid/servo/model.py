@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import frames
+from hybrid.effects.backlash import Backlash, set_play
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive, centres
 from hybrid.servo.stretch import Stretch
@@ -28,7 +31,10 @@ def file_step(robot: Robot) -> float:
 
 
 def servo_spec(
-    robot: Robot, zero: Array | float = 0.0, sign: Array | float = 1.0
+    robot: Robot,
+    zero: Array | float = 0.0,
+    sign: Array | float = 1.0,
+    plays: Sequence[int] = (),
 ) -> mujoco.MjSpec:
     """An arm with a DC motor behind a position controller at every joint.
 
@@ -36,6 +42,8 @@ def servo_spec(
         robot: The arm.
         zero: Position in the file at the zero of the log, shape (n,), [rad].
         sign: −1 for axes that point the other way, shape (n,).
+        plays: Joints whose gear has play. Behind each is another joint, see
+            :class:`hybrid.effects.backlash.Backlash`.
     """
     import mujoco
 
@@ -54,7 +62,22 @@ def servo_spec(
             lugre=[1.0, 1.0, 1.0, 1.0, 1.0],
             ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS),
         )
+    for j in plays:
+        own = spec.joint(robot.joints[j])
+        own.armature = max(own.armature, 1.0)
+        Backlash((j,), {"half_width": 1.0}).edit_spec(spec, robot.joints)
     return spec
+
+
+def places(plays: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices in a compiled model: of all motor joints, and of joints for play.
+
+    Args:
+        plays: Whether the gear of each joint has play, shape (n,).
+    """
+    behind = np.cumsum(plays)
+    own = np.arange(len(plays)) + behind - plays
+    return own, own[plays] + 1
 
 
 def declared_spec(robot: Robot) -> mujoco.MjSpec:
@@ -134,11 +157,14 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
         getattr(model, f"actuator_{name}")[:, : x.shape[1]] = x
     model.actuator_forcelimited[:] = 0
     model.actuator_ctrllimited[:] = 0
+    plays = drive["play"] > 0
+    own, behind = places(plays)
     model.dof_frictionloss[:] = 0.0
-    model.dof_damping[:] = dampings(robot, drive)[1]
-    model.dof_armature[:] = drive["armature"]
-    model.jnt_stiffness[:], model.qpos_spring[:] = springs(robot, drive)
-    model.jnt_range[:] = stops(drive)
+    model.dof_damping[own] = dampings(robot, drive)[1]
+    model.dof_armature[own] = drive["armature"]
+    model.jnt_stiffness[own], model.qpos_spring[own] = springs(robot, drive)
+    model.jnt_range[own] = stops(drive)
+    set_play(model, behind, drive["play"][plays], drive["armature"][plays])
     balls = np.maximum(drive["ground"] - _level(robot), _BELOW)
     if model.ngeom:
         model.geom_size[1:, 0] = model.geom_rbound[1:] = balls
@@ -189,14 +215,21 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
     return stiffness, relaxed + drive["offset"] / stiffness
 
 
-def weight(model: Any, q: Array, v: Array) -> Array:
-    """Gravity, centrifugal and Coriolis torque of a model, shape (n,), [N·m]."""
+def weight(model: Any, own: NDArray[np.intp], q: Array, v: Array) -> Array:
+    """Gravity, centrifugal and Coriolis torque of a model, shape (n,), [N·m].
+
+    Args:
+        model: Compiled model.
+        own: Its motor joints, see :func:`places`.
+        q: Positions, shape (n,), [rad].
+        v: Speeds, shape (n,), [rad/s].
+    """
     import mujoco
 
     data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = q, v
+    data.qpos[own], data.qvel[own] = q, v
     mujoco.mj_forward(model, data)
-    return np.array(data.qfrc_bias)
+    return np.array(data.qfrc_bias[own])
 
 
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:

@@ -58,7 +58,7 @@ def probed(
         k = NAMES.index(name)
         for change in usual:
             row = np.where(open_[k] & np.isfinite(change), change, 0.0)
-            for own in np.diag(row) if SHARED[k] else [row]:
+            for own in np.diag(row) if SHARED[k] or QUANTITIES[k].alone else [row]:
                 if own.any():
                     changes.append(np.zeros_like(x))
                     changes[-1][k] = own
@@ -145,6 +145,8 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
         out[name] = [np.where(beyond, place - x[NAMES.index(name)], 0.0)]
     ground = problem.touched - x[NAMES.index("ground")]
     out["ground"] = [np.nan_to_num(ground + far) for far in _DEEPER]
+    play = NAMES.index("play")
+    out["play"] = [QUANTITIES[play].probe * spread[play]]
     out["mass"] = [0.3 * ones, -0.3 * ones]
     out["sign"] = [-2.0 * ones]
     return out

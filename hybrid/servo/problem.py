@@ -28,10 +28,10 @@ from hybrid.servo.stretch import Stretch
 _ENDS = 5e-3  # relative decrease of the cost below which a fit ends
 _DAMPINGS = (0.01, 1.0, 100.0)  # Levenberg–Marquardt
 _LARGEST = 1.0  # step of a logarithm; of other values in prior deviations
-_PROBE = 0.05  # the same for finite differences
 _LEAST = 1e-4  # rad: resolution of an encoder without visible steps
 _KEPT = 64 * 2**20  # bytes of replays in the cache
 LOGARITHMIC = np.array([q.positive for q in QUANTITIES])[:, None]
+_PROBE = np.array([q.probe for q in QUANTITIES])[:, None]
 SHARED = np.array([q.shared for q in QUANTITIES])
 
 
@@ -142,7 +142,7 @@ class Problem:
         probe, moved, n = _PROBE * self.step, [], np.arange(self.prior.stall.size)
         for row in rows:
             y = found.x.copy()
-            y[row] += probe[row]
+            y[row] += np.where(found.free[row], probe[row], 0.0)
             moved.append(y)
         out = np.zeros((*found.free.shape, *found.errors.shape))
         for row, after in zip(rows, self.errors(moved), strict=True):

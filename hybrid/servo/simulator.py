@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.robot import Robot
@@ -19,6 +20,7 @@ from hybrid.servo.model import (
     declared_spec,
     install,
     lay_ground,
+    places,
     servo_spec,
     weight,
 )
@@ -41,6 +43,7 @@ class Run:
     state: Array
     control: Array  # at every physics step, (·, n)
     dead: Array
+    plays: NDArray[np.bool_]  # whether gears have play, (n,)
 
 
 class ServoSimulator:
@@ -84,8 +87,13 @@ class ServoSimulator:
             Positions by drive and stretch, shape (N, n) each, [rad].
         """
         runs = self.runs(stretches, drives)
-        roll = rolled if None in drives else self.roll
-        moved = [self._seen(*x) for x in zip(runs, roll(runs), strict=True)]
+        moved: list[Array] = [np.empty(0)] * len(runs)
+        for play in (False, True):
+            own = [k for k, x in enumerate(runs) if x.plays.any() == play]
+            roll = rolled if play or None in drives else self.roll
+            rows = roll([runs[k] for k in own]) if own else ()
+            for k, x in zip(own, rows, strict=True):
+                moved[k] = self._seen(runs[k], x)
         size = len(stretches)
         return [moved[i : i + size] for i in range(0, len(moved), size)]
 
@@ -103,7 +111,8 @@ class ServoSimulator:
         self, drive: Drive | None, stretch: Stretch, models: dict[float, Any]
     ) -> Run:
         parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
-        step, none = round(stretch.step / parts, 9), np.zeros(self.robot.size)
+        n = self.robot.size
+        step, none = round(stretch.step / parts, 9), np.zeros(n)
         if step not in models:
             models[step] = self._model(drive, step)
         late, pace, dead = (
@@ -112,7 +121,7 @@ class ServoSimulator:
         )
         control = goals(stretch, late, pace, parts)
         state = self._state(models[step], drive, stretch, control[0])
-        return Run(stretch, parts, models[step], state, control, dead)
+        return Run(stretch, parts, models[step], state, control, dead, _plays(drive, n))
 
     def _seen(self, run: Run, moved: Array) -> Array:
         after = moved[run.parts - 1 : len(run.control) : run.parts]
@@ -134,7 +143,8 @@ class ServoSimulator:
         if drive is None:
             spec = declared_spec(self.robot)
         else:
-            spec = servo_spec(self.robot, drive["zero"], drive["sign"])
+            plays = np.flatnonzero(drive["play"]).tolist()
+            spec = servo_spec(self.robot, drive["zero"], drive["sign"], plays)
             lay_ground(spec, self.robot)
         model = spec.compile()
         model.opt.timestep = step
@@ -144,18 +154,32 @@ class ServoSimulator:
         self, model: Any, drive: Drive | None, stretch: Stretch, first: Array
     ) -> Array:
         """Time, positions, speeds, and bends of the bristles if there are any."""
-        start = [np.zeros(1), stretch.q[0], stretch.v]
+        own, behind = places(plays := _plays(drive, len(stretch.v)))
+        q, v, bent = np.zeros(model.nq), np.zeros(model.nv), np.zeros(0)
+        q[own], v[own] = stretch.q[0], stretch.v
         if drive is not None:
             key = stretch, _turned(drive) + drive["mass"].tobytes()
             if key not in self._weights:
-                self._weights[key] = weight(model, stretch.q[0], stretch.v)
-            start.append(bristles(drive, stretch, first, self._weights[key]))
-        return np.concatenate(start)
+                at = stretch.q[0], stretch.v
+                self._weights[key] = weight(model, own, *at)
+            down = self._weights[key]
+            bent = bristles(drive, stretch, first, down)
+            # The weight of the link presses it against one side of the gap.
+            q[behind] = -np.sign(down[plays]) * drive["play"][plays]
+            q[own[plays]] -= q[behind]
+        return np.concatenate([np.zeros(1), q, v, bent])
+
+
+def _plays(drive: Drive | None, n: int) -> NDArray[np.bool_]:
+    return np.zeros(n, dtype=bool) if drive is None else np.asarray(drive["play"] > 0)
 
 
 def _turned(drive: Drive | None) -> bytes:
     """The parameters that need another compiled model."""
-    return b"" if drive is None else np.r_[drive["zero"], drive["sign"]].tobytes()
+    if drive is None:
+        return b""
+    turned = np.r_[drive["zero"], drive["sign"], drive["play"] > 0]
+    return bytes(turned.tobytes())
 
 
 def rolled(runs: Sequence[Run]) -> Array:
@@ -168,39 +192,59 @@ def rolled(runs: Sequence[Run]) -> Array:
     from mujoco import rollout
 
     steps, n = max(len(x.control) for x in runs), runs[0].control.shape[1]
-    states, dead = np.array([x.state for x in runs]), np.array([x.dead for x in runs])
-    ends = [x.control[-1:].repeat(steps - len(x.control), 0) for x in runs]
-    control = np.array([np.r_[x.control, y] for x, y in zip(runs, ends, strict=True)])
-    threads = min(len(os.sched_getaffinity(0)), len(runs))
-    data = [mujoco.MjData(runs[0].model) for _ in range(threads)]
-    out = np.empty((len(runs), steps, states.shape[1]))
+    out = np.empty((len(runs), steps, n))
+    kinds: dict[tuple[bool, bytes], list[int]] = {}
+    for k, x in enumerate(runs):
+        stepped = bool(x.dead.any() or x.plays.any())
+        kinds.setdefault((stepped, x.plays.tobytes()), []).append(k)
     with _quiet():  # some servos are unstable
-        for zoned in (False, True):
-            own = np.flatnonzero(dead.any(axis=1) == zoned)
-            models = [runs[i].model for i in own.tolist()]
-            if models and zoned:
-                out[own] = _stepped(models, data, states[own], control[own], dead[own])
-            elif models:
-                out[own], _ = rollout.rollout(models, data, states[own], control[own])
-    return out[..., 1 : 1 + n]
+        for (stepped, _), own in kinds.items():
+            some = [runs[k] for k in own]
+            ends = [x.control[-1:].repeat(steps - len(x.control), 0) for x in some]
+            pairs = zip(some, ends, strict=True)
+            control = np.array([np.r_[x.control, y] for x, y in pairs])
+            threads = min(len(os.sched_getaffinity(0)), len(some))
+            data = [mujoco.MjData(some[0].model) for _ in range(threads)]
+            if stepped:
+                out[own] = _stepped(some, data, control)
+                continue
+            state = np.array([x.state for x in some])
+            models = [x.model for x in some]
+            out[own] = rollout.rollout(models, data, state, control)[0][..., 1 : 1 + n]
+    return out
 
 
-def _stepped(
-    models: list[Any], data: list[Any], state: Array, control: Array, dead: Array
-) -> Array:
-    """Replay servos with a dead band, which MuJoCo lacks: goals move at each step."""
+def _stepped(runs: Sequence[Run], data: list[Any], control: Array) -> Array:
+    """Replay servos that MuJoCo lacks, whose goals move at each step.
+
+    They have a dead band, or read the position of the link behind the play of a gear.
+
+    Args:
+        runs: Replays of models with the same joints.
+        data: One for each thread.
+        control: Goals, shape (batch, steps, n), [rad].
+
+    Returns:
+        Positions of the links after each step, shape (batch, steps, n), [rad].
+    """
     from mujoco import rollout
 
-    out = np.empty((*control.shape[:2], state.shape[1]))
-    after, n = np.empty((len(models), 1, state.shape[1])), control.shape[2]
+    state, dead = np.array([x.state for x in runs]), np.array([x.dead for x in runs])
+    after, plays = np.empty((len(runs), 1, state.shape[1])), runs[0].plays
+    own, behind = (1 + x for x in places(plays))
+    out, models = np.empty_like(control), [x.model for x in runs]
+    motor, gap = state[:, own], np.zeros_like(dead)
+    gap[:, plays] = state[:, behind]
     with rollout.Rollout(nthread=len(data)) as roll:
         for k in range(control.shape[1]):
-            off = control[:, k] - state[:, 1 : 1 + n]
-            goal = (control[:, k] - np.clip(off, -dead, dead))[:, None]
+            off = control[:, k] - motor - gap
+            goal = (control[:, k] - gap - np.clip(off, -dead, dead))[:, None]
             roll.rollout(
                 models, data, state, goal, nstep=1, state=after, skip_checks=True
             )
-            state = out[:, k] = after[:, 0].copy()
+            state = after[:, 0].copy()
+            motor, gap[:, plays] = state[:, own], state[:, behind]
+            out[:, k] = motor + gap
     return out
 
 
