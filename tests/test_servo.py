@@ -53,6 +53,8 @@ ARM = """<mujoco model="two">
   </actuator>
 </mujoco>
 """
+SLACK = """<joint name="shoulder/play" axis="0 1 0" limited="true" armature="0.0004"
+    range="-{0} {0}" solreflimit="0.002 1" solimplimit="0.99 0.999 1e-3"/>"""
 TABLE = 0.12  # m
 ON_TABLE = ARM.replace(
     "<worldbody>",
@@ -96,13 +98,19 @@ def log(
     delay: float = 0.0,
     dead: float = 0.0,
     low: bool = False,
+    play: float = 0.0,
     **changed,
 ) -> Recording:
     """A log by MuJoCo's own friction and servos at 1 ms, with a coarse encoder.
 
-    A low one is on a table, on which the elbow's link comes down.
+    A low one is on a table, on which the elbow's link comes down. Half of a gap behind
+    the shoulder's motor is ``play``; its encoder is on the link.
     """
-    model = mujoco.MjModel.from_xml_string(ON_TABLE if low else ARM)
+    text = ON_TABLE if low else ARM
+    if play:
+        text = text.replace('armature="0.02"/>', f'armature="0.02"/>{SLACK}')
+    model = mujoco.MjModel.from_xml_string(text.format(play))
+    own = [model.joint(x).qposadr[0] for x in ("shoulder", "elbow")]
     for name, value in changed.items():
         getattr(model, name)[:] = value
     model.actuator_biasprm[:, 1] = -model.actuator_gainprm[:, 0]
@@ -110,15 +118,18 @@ def log(
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     command, parts = commands(seed, seconds), round(1 / RATE / model.opt.timestep)
     command = command + low * np.array([1.3, 0.7])
+    command[:, 0] -= 0.6 * (play > 0)  # upright: the load changes its sign
     data = mujoco.MjData(model)
-    data.qpos[:] = command[0]
+    data.qpos[own] = command[0]
     t, q = np.arange(len(command)) / RATE, []
     for k in range(len(command)):
-        q.append(data.qpos.copy())
+        q.append(data.qpos[own])
+        q[-1][0] += data.qpos[1] if play else 0.0
         for i in range(parts):
             now = t[k] + i * model.opt.timestep - delay
             data.ctrl[:] = [np.interp(now, t, x) for x in command.T]
             data.ctrl[0] -= np.clip(data.ctrl[0] - data.qpos[0], -dead, dead)
+            data.ctrl[0] -= data.qpos[1] if play else 0.0
             mujoco.mj_step(model, data)
     measured = np.round(np.array(q) / TICK) * TICK
     joints = ("shoulder", "elbow")
@@ -196,6 +207,16 @@ def test_a_file_says_a_dead_band_as_far_as_it_can(folder):
     less = re.search(r"by ([\d.]+) instead of ([\d.]+) mrad", said)
     assert less is not None and float(less[1]) > float(less[2])
     assert float(less[2]) == pytest.approx(1000 * fit.after[0], abs=0.06)
+
+
+def test_play_of_a_gear_is_found_and_measured(folder):
+    logs = [log(k, seconds=6.0, play=0.03) for k in range(2)]
+    fit = fit_servo(arm(folder), logs)
+    first = fit.findings[0]
+    assert (first.effect, first.joint) == ("backlash", "shoulder")
+    assert first.value == pytest.approx(0.03, rel=0.1)
+    assert fit.after[0] < 0.4 * fit.before[0]
+    assert any("no place for the play of shoulder" in x for x in fit.notes)
 
 
 def test_a_number_known_to_be_right_is_never_fitted(folder):
@@ -276,6 +297,55 @@ def test_a_servo_does_nothing_within_its_dead_band(robot):
     assert abs(free[-1, 0] - tipped[0]) < 0.02
     # The softest spring there is, of 1e-6 N·m/rad, pulls at the bristles.
     assert np.abs(dead - down).max() < 1e-6 * np.pi / 1.0
+
+
+def ramp(start: float, end: float, seconds: float = 4.0) -> Stretch:
+    """A command that moves the shoulder of a stretched arm evenly, from rest."""
+    count = round(seconds * RATE)
+    command = np.zeros((count, 2))
+    command[:, 0] = np.linspace(start, end, count)
+    return Stretch(1 / RATE, command, np.tile(command[0], (count, 1)), np.zeros(2))
+
+
+@pytest.mark.parametrize("where", [(0.5, 0.9), (-0.5, -0.9)])
+def test_play_does_nothing_while_the_load_keeps_the_link_on_one_side(robot, where):
+    tight, loose = (replay(robot, ramp(*where), play=x) for x in (0.0, [0.03, 0.0]))
+    np.testing.assert_allclose(loose, tight, atol=2e-3)
+
+
+def test_a_link_falls_through_its_gap_where_its_load_changes_sign(robot):
+    """Upright in between; the servo on the link takes back some of what it fell."""
+    tight, loose = (replay(robot, ramp(-0.4, 0.4), play=x) for x in (0.0, [0.03, 0.0]))
+    ahead = loose[:, 0] - tight[:, 0]
+    assert 0.015 < ahead.max() < 2 * 0.03 and ahead.min() > -0.01
+    np.testing.assert_allclose(loose[-1], tight[-1], atol=5e-3)
+
+
+def test_a_batch_of_replays_is_each_of_them(robot):
+    drive = Drive.declared(robot)
+    drives = [drive.at(**x) for x in (
+        {}, {"play": [0.03, 0.0]}, {"dead_band": 0.02}, {"play": [0.0, 0.02]},
+        {"play": 0.01, "dead_band": [0.02, 0.0]},
+    )]  # fmt: skip
+    stretches = [ramp(-0.4, 0.4, 1.0), ramp(0.3, -0.2, 2.0)]
+    every = ServoSimulator(robot).replay(stretches, drives)
+    for one, found in zip(drives, every, strict=True):
+        (alone,) = ServoSimulator(robot).replay(stretches, [one])
+        for x, y in zip(found, alone, strict=True):
+            np.testing.assert_allclose(x, y, rtol=0, atol=1e-12)
+
+
+def test_slopes_move_no_number_that_is_not_fitted(robot):
+    none = np.zeros(2, dtype=bool)
+    problem = Problem(
+        ServoSimulator(robot), [ramp(-0.4, 0.4)], Drive.declared(robot), none,
+        np.zeros((2, 2)),
+    )  # fmt: skip
+    free = np.zeros((len(NAMES), 2), dtype=bool)
+    free[NAMES.index("play"), 1] = True
+    found = problem.at(problem.prior.coordinates, free)
+    (together,), (alone,) = (problem.slopes(found, each=x) for x in (False, True))
+    np.testing.assert_allclose(together[:, 1], alone[:, 1], rtol=0, atol=1e-12)
 
 
 def test_a_joint_goes_no_further_than_its_stop(robot):
