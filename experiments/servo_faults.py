@@ -15,6 +15,7 @@ import time
 import warnings
 from pathlib import Path
 
+from blind.run import code_digest
 from outputs import command_line
 from servo_arms import RATES, log, with_servos
 from servo_outcomes import outcome, table_of
@@ -46,10 +47,12 @@ def main() -> None:
     arms = [x for x in args.arms.split(",") if x != "SO101" or args.so101]
     files = {x: str(args.so101) if x == "SO101" else x for x in arms}
     robots = {x: with_servos(Robot.load(file)) for x, file in files.items()}
+    code = code_digest()
+    cases = [x for x in cases if x.get("code") == code]
     for fault, arm in [(f, a) for f in args.faults.split(",") for a in robots]:
-        about = {"arm": Path(arm).stem, "fault": fault, "seed": args.seed}
+        about = {"arm": Path(arm).stem, "fault": fault, "seed": args.seed, "code": code}
         if any(about.items() <= x.items() for x in cases):
-            continue  # stored answers are kept
+            continue  # the same code has answered it
         robot, struck = robots[arm], []
         j = (FAULTS.index(fault) + args.seed) % robot.size
         seeds = range(args.seed, args.seed + LOGS)
@@ -66,7 +69,7 @@ def main() -> None:
         asked = f"--seed {args.seed}" + " --withheld" * args.withheld
         how = provenance(command=f"python experiments/servo_faults.py {asked}")
         write_results(stored, {"cases": cases, "provenance": how})
-        print(*about.values(), flush=True)
+        print(*(about[x] for x in ("arm", "fault", "joint", "said")), flush=True)
     with atomic_path(args.out / f"{name}.md") as path:
         path.write_text(table_of(cases), encoding="utf-8")
 

@@ -160,8 +160,7 @@ class ServoSimulator:
         if drive is not None:
             key = stretch, _turned(drive) + drive["mass"].tobytes()
             if key not in self._weights:
-                at = stretch.q[0], stretch.v
-                self._weights[key] = weight(model, own, *at)
+                self._weights[key] = weight(model, own, stretch.q[0], stretch.v)
             down = self._weights[key]
             bent = bristles(drive, stretch, first, down)
             # The weight of the link presses it against one side of the gap.
