@@ -56,7 +56,8 @@ def by_kind(outcomes: Sequence[Mapping[str, Any]], name: str) -> Table:
             if own:
                 rows.append(_row(kind, f"{size:g}", own))
     faulty = [x for x in outcomes if x["kind"]]
-    rows.append(_row("all", "", faulty))
+    if faulty:
+        rows.append(_row("all", "", faulty))
     header = (
         "fault", "size", "arms", "found", "95 %", "named", "95 %",
         "median delay, weeks", "95 %",

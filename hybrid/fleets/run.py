@@ -11,18 +11,23 @@ import logging
 from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from itertools import islice
+from itertools import groupby, islice
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hybrid.errors import HybridError
 from hybrid.extras import check_extra
-from hybrid.fleets.worker import LOST, UNIT, ask, end_children
+from hybrid.fleets.worker import LOST, UNIT, ask_each, end_children
 
 if TYPE_CHECKING:
     from distributed import Client
 
-_QUEUED = 4  # units per thread at the scheduler
+_QUEUED = 4  # tasks per thread at the scheduler
 _CONNECT = 30.0  # s
+# A task of Dask costs some milliseconds: short units go together.
+_WORTH, _MOST = 0.3, 32  # s of a task, and most units of one
 # What a local cluster does beside its work takes a share of a core, busy or not:
 # samples of stacks each 10 ms, ticks each 20 ms, the state of the machine each 0.5 s.
 _QUIET = {
@@ -100,35 +105,41 @@ def answers(
     """
     from distributed import as_completed
 
-    source, names = iter(jobs), {}
+    source, names, size = iter(jobs), {}, 1
     models: dict[str, Any] = {}
 
-    def send(count: int) -> list[Any]:
+    def send() -> list[Any]:
         new = []
-        for name, message, model in islice(source, count):
+        # Jobs are sorted by arm, and those of one task have one baseline.
+        for model, own in groupby(islice(source, size), key=itemgetter(2)):
             if model is not None and model not in models:
-                models.clear()  # jobs are sorted by arm
+                models.clear()
                 # Dask repeats a task of a lost worker, but does not scatter data again.
                 models[model] = client.submit(str, model)
-            question = message, models.get(model or ""), limit, module
-            future = client.submit(ask, *question, pure=False, retries=2)
-            names[future] = name
-            new.append(future)
+            those, told, _ = zip(*own, strict=True)
+            question = told, models.get(model or ""), limit, module
+            new.append(client.submit(ask_each, *question, pure=False, retries=2))
+            names[new[-1]] = those
         return new
 
-    threads = max(1, sum(client.nthreads().values()))
-    first = send(_QUEUED * threads)
+    most = _QUEUED * max(1, sum(client.nthreads().values()))
+    first = [x for _ in range(most) for x in send()]
     running = as_completed(first, with_results=True, raise_errors=False)
     for future, result in running:
-        running.update(send(1))
-        yield names.pop(future), _answer(result)
+        own = names.pop(future)
+        found, seconds = _answers(result, len(own))
+        size = int(np.clip(_WORTH * len(own) / max(seconds, 1e-3), 1, _MOST))
+        if len(names) < most:
+            running.update(send())
+        yield from zip(own, found, strict=True)
 
 
-def _answer(result: Any) -> dict[str, Any]:
-    """The answer of a unit; an error of its worker is an answer too."""
+def _answers(result: Any, count: int) -> tuple[list[dict[str, Any]], float]:
+    """Answers and seconds of a task; an error of its worker is an answer too."""
     if isinstance(result, CancelledError):
         raise result
-    if isinstance(result, tuple):
-        _, error, _ = result
-        return {"failed": LOST, "reason": " ".join(str(error).split())}
-    return dict(result)
+    found, error, *_ = result
+    if isinstance(found, type):
+        reason = " ".join(str(error).split())
+        return [{"failed": LOST, "reason": reason}] * count, np.inf
+    return found, error

@@ -13,7 +13,8 @@ import selectors
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -111,6 +112,15 @@ def ask(
             _drop(own)
             reason = str(error)
     return {"failed": LOST, "reason": reason}
+
+
+def ask_each(
+    messages: Sequence[Mapping[str, Any]], model: str | None, limit: float, module: str
+) -> tuple[list[dict[str, Any]], float]:
+    """The answers to some messages, see :func:`ask`, and the time they took, [s]."""
+    start = time.monotonic()
+    found = [ask(x, model, limit, module) for x in messages]
+    return found, time.monotonic() - start
 
 
 def _drop(own: tuple[int, str]) -> None:
