@@ -201,7 +201,7 @@ def test_what_looks_odd_is_said_in_words(channels, joints, says):
     recording = Recording(T, np.zeros((len(T), 3)), tau=None, joints=("a", "b", "c"))
     reading = OtherReading(channels, joints, "odd", np.arange(3), np.ones(3))
     before, after = np.array([0.9, 0.8, 0.7]), np.array([0.9, 0.1, 0.7])
-    doubt = _doubt(recording, reading, before, after, "error")
+    doubt = _doubt(recording, reading, before, after, "any", "error")
     assert says in doubt.text
     assert "leaves 0.1 of the variance of tau2 (b) unexplained" in doubt.text
 

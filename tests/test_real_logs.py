@@ -14,6 +14,7 @@ from simulated import quiet
 
 from hybrid.effects import effect_class
 from hybrid.identification import identify, validate
+from hybrid.inspect import inspect_recording
 from hybrid.recording import read_all
 from hybrid.robot import Robot
 from hybrid.signals import Sampler, motion_from_recording
@@ -82,3 +83,17 @@ def test_tx40_with_its_coupled_wrist():
     # Its inertia is known least: beyond 95 %, where the two frictions are beyond 99 %.
     sure = np.array([1.96, 2.6, 2.6])
     assert (found.gain_values > sure * np.array(list(found.std.values()))).all()
+
+
+def test_seconds_of_a_right_log_are_not_refused():
+    """Slow motion of some seconds is fitted well by any reading of its columns."""
+    folder = DATA / "ur10_salerno"
+    if not (folder / "robot.urdf").is_file():
+        pytest.skip("no logs of ur10_salerno: set HYBRID_DATA to the folder of logs")
+    robot, _ = quiet(Robot.load, folder / "robot.urdf")
+    (log,), _ = quiet(read_all, [folder], joints=robot.joints)
+    for first in np.arange(log.t[0], log.t[-1] - 2.6, 2.6):
+        kept = (log.t >= first) & (log.t < first + 2.6)
+        part = {key: x[kept] for key, x in log.channels.items()}
+        said = inspect_recording(replace(log, t=log.t[kept], **part), robot).doubts
+        assert not [x.line for x in said if x.is_error]

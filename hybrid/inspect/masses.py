@@ -12,6 +12,8 @@ wrong signs and a wrong clock need negative masses, or leave a large residual.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,6 +50,21 @@ def unit_masses(chain: Chain) -> Array:
     return np.stack([np.ones_like(x), x, y, z, *rest], axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Sums over samples, over the number of all samples.
+
+    Attributes:
+        normal: Products of the columns at each joint, shape (n, P, P).
+        right: Products of the columns at each joint with each torque, shape (n, n, P).
+        squares: Squares of each torque, shape (n,).
+    """
+
+    normal: Array
+    right: Array
+    squares: Array
+
+
 class MassColumns:
     """Columns of every mass and drive along a motion, as normal equations.
 
@@ -60,35 +77,42 @@ class MassColumns:
     def __init__(self, state: State, masses: Array, Y: Array) -> None:
         (samples, n), each = state.q.shape, masses.shape[2]
         links = Y.transpose(1, 2, 0).reshape(n, n, 10, samples)
-        drives, count = _drive_columns(state), n * (each + _DRIVE_COLUMNS)
+        drives, self._count = _drive_columns(state), n * (each + _DRIVE_COLUMNS)
         self._own, self._places = [], []  # columns at each joint, and their numbers
-        self._normal = np.zeros((n, count, count))
-        self._right = np.zeros((n, n, count))
         for i in range(n):  # links before joint i do not load it
             rigid = masses[i:].transpose(0, 2, 1) @ links[i, i:]  # (n - i, P, M)
-            own = np.concatenate([rigid.reshape(-1, samples), drives[i]])
             drive = n * each + _DRIVE_COLUMNS * i + np.arange(_DRIVE_COLUMNS)
-            at = np.append(np.arange(i * each, n * each), drive)
-            self._own.append(own)
-            self._places.append(at)
-            self._normal[i][np.ix_(at, at)] = own @ own.T
-            self._right[i][:, at] = (own @ state.tau).T
-        size = np.sqrt(np.diagonal(self._normal.sum(axis=0)))
-        self._scale = np.maximum(size, _TINY)
-        for i, at in enumerate(self._places):
-            offsets = at[-2:]
-            self._normal[i][offsets, offsets] += _OFFSET_PENALTY**2 * samples
-        self._normal /= self._scale * self._scale[:, None] * samples
-        self._right /= self._scale * samples
+            self._own.append(np.concatenate([rigid.reshape(-1, samples), drives[i]]))
+            self._places.append(np.append(np.arange(i * each, n * each), drive))
+        square = np.zeros(self._count)
+        for own, at in zip(self._own, self._places, strict=True):
+            square[at] += np.einsum("pm,pm->p", own, own)
+        self._scale = np.maximum(np.sqrt(square), _TINY)
         self._torque = state.tau
-        self._squares = (state.tau**2).mean(axis=0)
-        self._size = np.maximum(state.tau.var(axis=0), _TINY * self._squares + _NONE)
-        self._theta = np.zeros(count)
-        self._upper = np.full(count, np.inf)
+        self._all = self._sums(np.ones(samples, dtype=bool))
+        least = _TINY * self._all.squares + _NONE
+        self._size = np.maximum(state.tau.var(axis=0), least)
+        self._theta = np.zeros(self._count)
+        self._upper = np.full(self._count, np.inf)
         spring = n * each + 3 + _DRIVE_COLUMNS * np.arange(n)
         travel = np.abs(drives[:, 3]).max(axis=1)
         self._upper[spring] = state.rated / np.maximum(travel, _TINY)
         self._upper *= self._scale
+
+    def _sums(self, use: NDArray[np.bool_]) -> _Sums:
+        """Normal equations over some of the samples, (M,)."""
+        n, count = len(self._own), self._count
+        normal, right = np.zeros((n, count, count)), np.zeros((n, n, count))
+        for i, (every, at) in enumerate(zip(self._own, self._places, strict=True)):
+            own, offsets = every[:, use], at[-2:]
+            normal[i][np.ix_(at, at)] = own @ own.T
+            right[i][:, at] = (own @ self._torque[use]).T
+            normal[i][offsets, offsets] += _OFFSET_PENALTY**2 * use.sum()
+        return _Sums(
+            normal / (self._scale * self._scale[:, None] * len(use)),
+            right / (self._scale * len(use)),
+            (self._torque[use] ** 2).sum(axis=0) / len(use),
+        )
 
     @property
     def explained(self) -> Array:
@@ -107,18 +131,49 @@ class MassColumns:
             factor: Factor of each torque, shape (n,).
             rounds: Number of fits; each weighs joints by the residual of the last.
         """
-        each = np.arange(len(order))
-        right = factor[:, None] * self._right[each, order]
-        squares = factor**2 * self._squares[order]
-        size = factor**2 * self._size[order]
-        share = np.ones(len(order))
+        self._theta = self._fitted(self._all, order, factor, rounds)
+        return self._shares(self._all, self._theta, order, factor)
+
+    def unseen(self, order: NDArray[np.intp], factor: Array, blocks: int) -> Array:
+        """The same of samples that a fit does not see, shape (n,); 1 at the most.
+
+        Args:
+            order: Torque column of each joint, shape (n,).
+            factor: Factor of each torque, shape (n,).
+            blocks: Parts of the log in time. Odd ones are predicted by a fit of the
+                even ones, and these by one of the odd ones.
+        """
+        samples = len(self._torque)
+        odd = np.arange(samples) * blocks // samples % 2 == 1
+        parts = self._sums(odd), self._sums(~odd)
+        left = np.zeros(len(order))
+        for fitted, other in (parts, parts[::-1]):
+            theta = self._fitted(fitted, order, factor, 2)
+            left += self._shares(other, theta, order, factor)
+        return np.minimum(left, 1.0)
+
+    def _fitted(
+        self, sums: _Sums, order: NDArray[np.intp], factor: Array, rounds: int
+    ) -> Array:
+        """Weights of the columns, shape (P,)."""
+        right = factor[:, None] * sums.right[np.arange(len(order)), order]
+        share, theta = np.ones(len(order)), self._theta
         for _ in range(rounds):
-            weight = 1.0 / (size * share)
-            normal = np.tensordot(weight, self._normal, 1)
-            self._theta = theta = _bounded(normal, weight @ right, self._upper)
-            rest = squares + ((self._normal @ theta - 2 * right) * theta).sum(axis=1)
-            share = np.clip(rest / size, _NEGLIGIBLE, None)
-        return np.asarray(share, dtype=np.float64)
+            weight = 1.0 / (factor**2 * self._size[order] * share)
+            normal = np.tensordot(weight, sums.normal, 1)
+            theta = _bounded(normal, weight @ right, self._upper)
+            share = self._shares(sums, theta, order, factor)
+        return theta
+
+    def _shares(
+        self, sums: _Sums, theta: Array, order: NDArray[np.intp], factor: Array
+    ) -> Array:
+        """What weights leave of samples, over the variance of all, shape (n,)."""
+        right = factor[:, None] * sums.right[np.arange(len(order)), order]
+        rest = ((sums.normal @ theta - 2 * right) * theta).sum(axis=1)
+        rest += factor**2 * sums.squares[order]
+        share = rest / (factor**2 * self._size[order])
+        return np.asarray(np.clip(share, _NEGLIGIBLE, None))
 
     def residual_of_pairs(self) -> Array:
         """Share of torque column c that the columns of joint i leave, shape (n, n).
