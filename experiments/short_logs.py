@@ -68,7 +68,8 @@ def measure(arm: Arm, robot: Robot, logs: list[Recording], seconds: float, seed:
 def cells(found: list[Array]) -> tuple[str, ...]:
     """Cells of the draws of one kind of log."""
     plain, ours = np.sqrt([x.sum(axis=1) for x in found]).mean(axis=-1).T
-    mean, (ratio, error) = ours / plain, np.hstack([ratios(x) for x in found])
+    moves = [x[:, :, (x.sum(axis=1) > 0).all(axis=0)] for x in found]
+    mean, (ratio, error) = ours / plain, np.hstack([ratios(x) for x in moves])
     shown = np.exp(np.log(mean).mean()), mean.max(), ratio.max()
     worse = [(ratio - 1 > k * error).sum() for k in range(3)]
     counts = (str(x) for x in (ratio.size, *worse))
