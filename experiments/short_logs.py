@@ -67,6 +67,7 @@ def measure(arm: Arm, robot: Robot, logs: list[Recording], seconds: float, seed:
 
 def cells(found: list[Array]) -> tuple[str, ...]:
     """Cells of the draws of one kind of log."""
+    found = [x for x in found if x.any()]  # a log may be too short to hold any out
     plain, ours = np.sqrt([x.sum(axis=1) for x in found]).mean(axis=-1).T
     moves = [x[:, :, (x.sum(axis=1) > 0).all(axis=0)] for x in found]
     mean, (ratio, error) = ours / plain, np.hstack([ratios(x) for x in moves])
