@@ -28,7 +28,7 @@ from hybrid.model.model_file import content_from_model
 from hybrid.plant import Plant, simulate
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import write
-from hybrid.report.fleet import prometheus_text
+from hybrid.report.fleet import prometheus_text, write_fleet_pages
 from hybrid.robot import Robot
 
 SCARA = MODELS / "scara.xml"
@@ -124,12 +124,21 @@ def test_one_and_three_workers_write_the_same_and_a_rerun_does_nothing_twice(
     assert str(bad) in refused["reason"]
     assert 'hybrid_fleet_refused_periods{arm="arm1"} 1' in prometheus_text(results[0])
 
-    def no_child(self):
+    def no_child(self, module):
         raise AssertionError("everything was there already")
 
     monkeypatch.setattr(workers.Child, "__init__", no_child)
     fleet(plan, tmp_path / "1", workers=1)
     assert (tmp_path / "1" / "fleet.parquet").read_bytes() == files[0]
+
+
+def test_the_report_leads_to_the_page_of_every_arm(tmp_path, asked):
+    plan = folder_of_arms(tmp_path, weeks=2)
+    found = fleet(plan, tmp_path, workers=1)
+    page = write_fleet_pages(tmp_path, found, provenance={}).read_text()
+    for arm in ("arm0", "arm1"):
+        assert f'<a href="arms/{arm}.html">{arm}</a>' in page
+        assert arm in (tmp_path / "arms" / f"{arm}.html").read_text()
 
 
 def question(*logs, **options):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import date
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -146,13 +148,30 @@ def refused_table(fleet: Fleet) -> Table:
     return Table(("arm", "period", "", "why"), tuple(rows), words=True)
 
 
+def _ranked(fleet: Fleet) -> dict[str, float]:
+    """Largest score of every arm, those unlike the others first."""
+    scores, unlike = dict[str, float](), {x.arm for x in fleet.states if x.unlike}
+    for x in fleet.states:
+        scores[x.arm] = max(scores.get(x.arm, 0.0), x.score)
+    order = sorted(scores, key=lambda x: (x not in unlike, -scores[x], x))
+    return {arm: scores[arm] for arm in order}
+
+
+def arms_table(fleet: Fleet) -> Table:
+    """The arms of the heat map, with the number of their periods and of changes."""
+    counts = Counter(x.arm for x in fleet.alarms for _ in x.changes)
+    periods = Counter(arm for arm, _ in {(x["arm"], x["period"]) for x in fleet.rows})
+    rows = [
+        (arm, str(periods[arm]), str(counts[arm]), f"{score:.1f}" if score else "–")
+        for arm, score in islice(_ranked(fleet).items(), _MOST_ROWS)
+    ]
+    return Table(("arm", "periods", "changes", "largest score"), tuple(rows))
+
+
 def heat_figure(fleet: Fleet) -> Figure:
     """Draw the deviation of each arm from the median arm; dots are changes."""
     columns = list(dict.fromkeys((x.joint, x.parameter) for x in fleet.states))
-    worst: dict[str, float] = {}
-    for x in fleet.states:
-        worst[x.arm] = max(worst.get(x.arm, 0.0), x.score + 100.0 * x.unlike)
-    arms = sorted(worst, key=lambda x: (-worst[x], x))[:_MOST_ROWS]
+    arms = list(_ranked(fleet))[:_MOST_ROWS]
     values = np.full((len(arms), len(columns)), np.nan)
     dots = []
     for k, column in enumerate(columns):
@@ -219,10 +238,11 @@ def lead_sentence(fleet: Fleet) -> str:
 def write_fleet_pages(
     folder: Path, fleet: Fleet, *, provenance: Mapping[str, Any]
 ) -> Path:
-    """Write ``report.html``, a page for each arm with findings, and ``fleet.prom``."""
+    """Write ``report.html``, a page for each arm that it names, and ``fleet.prom``."""
     named = dict.fromkeys(x.arm for x in fleet.alarms)
     named |= dict.fromkeys(x.arm for x in fleet.states if x.unlike)
     named |= dict.fromkeys(arm for arm, _ in fleet.diagnoses)
+    named |= dict.fromkeys(islice(_ranked(fleet), _MOST_ROWS))
     stems = file_stems(list(named)[:_MOST_PAGES])
     pages = {arm: f"arms/{stem}.html" for arm, stem in stems.items()}
     (folder / "arms").mkdir(parents=True, exist_ok=True)
@@ -274,6 +294,8 @@ def _fleet_sections(fleet: Fleet, pages: Mapping[str, str]) -> Iterator[Section]
     ):
         if tables[name].rows:
             yield Section(title, text, table=tables[name])
+    if fleet.states:
+        yield Section("The arms", table=_linked(arms_table(fleet), pages))
     if fleet.shared:
         text = "\n\n".join(f"{x[:1].upper()}{x[1:]}." for x in fleet.shared)
         yield Section("What all arms share", text)
