@@ -144,7 +144,8 @@ def test_laws_of_one_kind_are_summed_joint_by_joint():
     effects = [
         NonlinearViscous((0,), {"quadratic": 0.5, "cubic": 0.0}),
         NonlinearViscous((2,), {"quadratic": 0.7, "cubic": 0.2}),
-        NonlinearViscous((2,), {"quadratic": 0.1, "cubic": 0.0}), Coulomb((1,), {"level": 2.0}),
+        NonlinearViscous((2,), {"quadratic": 0.1, "cubic": 0.0}),
+        Coulomb((1,), {"level": 2.0}),
         Coulomb((2,), {"level": 3.0}), Spring((2,), {"stiffness": 4.0, "preload": 0.0}),
         Spring((0,), {"stiffness": 0.0, "preload": 5.0}),
         TorqueOffset((1,), {"level": 0.25}),

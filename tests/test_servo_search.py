@@ -348,3 +348,10 @@ def test_causes_that_explain_nothing_are_dropped_and_no_others(right, wrong):
         if (name, j) not in known:
             k = NAMES.index(name)
             assert found.found.x[k, j] == FILE.coordinates[k, j]
+
+
+def test_a_limit_is_only_looked_for_where_it_would_be_felt():
+    """Below that of the file; what it would be above is told by no replay."""
+    for stall, told in (([90.0, 60.0], set()), ([40.0, 60.0], {("stall", 0)})):
+        found = moves(*sharp(FILE.at(stall=stall), resting=True)[:3])
+        assert {at for at in found if at[0] == "stall"} == told
