@@ -20,7 +20,7 @@ from hybrid.inspect.doubt import raise_or_warn
 from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import clock_of
 from hybrid.inspect.masses import MassColumns, smooth_sign, unit_masses
-from hybrid.inspect.physics import doubts_of_magnitude
+from hybrid.inspect.physics import doubts_of_magnitude, doubts_of_physics
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import (
     doubts_of_samples,
@@ -228,6 +228,18 @@ def test_rest_on_one_side_of_a_jump_is_another_fault():
     assert not list(doubts_of_rows(log(rest[:, None])))
     steady = put(WAVE, np.s_[200:], WAVE[200:] + 0.4)
     assert len(list(doubts_of_rows(log(steady[:, None])))) == 1
+
+
+def test_two_jumps_in_a_row_are_a_fast_motion():
+    x = put(WAVE, np.s_[200:], WAVE[200:] + 0.8)
+    x = put(x, np.s_[203:], x[203:] + 0.8)
+    assert not any("jumps" in d.text for d in doubts_of_rows(log(x[:, None])))
+
+
+def test_a_row_that_comes_again_is_no_repeated_log():
+    q = put(BOTH, np.s_[300], BOTH[1])
+    again = [d for d in doubts_of_rows(log(q, tau=2.0 * q)) if "repeats" in d.text]
+    assert again == []
 
 
 def test_held_rows_are_told_with_their_number_and_what_is_held():
@@ -441,15 +453,15 @@ def test_torque_far_above_the_rating_is_told_where_no_scale_is():
 # --- masses ---------------------------------------------------------------------------
 
 
-def test_masses_are_points_at_a_link_s_origin_and_on_either_side_of_it():
-    arm = random_arm(3)
+@pytest.mark.parametrize("arm", [random_arm(3), pendulum(2), pendulum(1)])
+def test_masses_are_points_at_a_link_s_origin_and_on_either_side_of_it(arm):
     lengths = np.linalg.norm(arm.chain.translation, axis=1)
     inertial = arm.chain.inertial
     for j, each in enumerate(unit_masses(arm.chain).transpose(0, 2, 1)):
         assert each.shape == (7, 10)
         far = np.linalg.norm(inertial[j, 1:4]) / inertial[j, 0]
         ahead = lengths[j + 1] if j + 1 < arm.size else 0.0
-        reach = max(far, ahead, 0.25 * lengths.sum())
+        reach = max(far, ahead, 0.25 * (lengths.sum() or 1.0))
         points = reach * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
         for parameters, p in zip(each, points, strict=True):
             J = p @ p * np.eye(3) - np.outer(p, p)
@@ -549,6 +561,62 @@ def test_a_torque_without_its_sign_is_told_at_its_joint(seed):
     assert not list(doubts_of_magnitude(whole, arm, state))
     far = replace(recording, tau=tau + 0.2 * tau.max(axis=0))
     assert not list(doubts_of_magnitude(far, arm, replace(state, tau=far.tau)))
+
+
+def read_wrong(change, arm):
+    state = asked(
+        arm, more=0.02 * np.random.default_rng(0).normal(size=(400, arm.size))
+    )
+    state = change(state)
+    t = 0.02 * np.arange(400)
+    recording = Recording(t, state.q, tau=state.tau, joints=arm.joints)
+    return list(doubts_of_physics(recording, arm, state))
+
+
+def turned(state):
+    return replace(state, tau=state.tau * [1.0, -1.0])
+
+
+def swapped(state):
+    return replace(state, tau=state.tau[:, ::-1])
+
+
+def slowed(state):
+    return replace(state, v=state.v * 4.0, a=state.a * 16.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "says", "joints"),
+    [
+        (lambda s: s, None, ()),
+        (turned, "tau2 (hinge_1) looks to count the other way round", (1,)),
+        (swapped, "tau1 (hinge_0) and tau2 (hinge_1) look swapped", (0, 1)),
+        (slowed, "time looks scaled by 1/4", ()),
+        (lambda s: turned(slowed(s)), "the other way round", (1,)),
+    ],
+)
+def test_a_log_that_is_read_wrong_is_told_by_what_masses_leave(change, says, joints):
+    arm = pendulum(2)
+    doubts = read_wrong(change, arm)
+    assert bool(doubts) == (says is not None)
+    if says:
+        (doubt,) = [d for d in doubts if says in d.text]
+        assert doubt.joints == joints and doubt.evidence > np.exp(0.5)
+        right = change(change(asked(arm))) if change in (turned, swapped) else None
+        assert right is None or np.allclose(right.tau, asked(arm).tau)
+
+
+def test_speeds_that_confirm_a_clock_rule_out_another_one():
+    def logged(state):
+        slow = slowed(state)
+        return replace(slow, logged=slow.v)
+
+    assert not [d for d in read_wrong(logged, pendulum(2)) if d.channel == "t"]
+    none = replace(pendulum(2), chain=pendulum(2).chain)
+    state = asked(none)
+    bare = Recording(0.02 * np.arange(400), state.q, joints=none.joints)
+    assert list(doubts_of_physics(bare, none, state)) == []
+    assert list(doubts_of_physics(bare, None, state)) == []
 
 
 # --- what a log covers ----------------------------------------------------------------
