@@ -419,7 +419,7 @@ def test_a_unit_is_shared_by_most_joints_and_a_tool_is_not():
     assert more.evidence == pytest.approx(5.0)
     (less,) = scale_doubts(arm, [0.2, 1.0, 0.25])
     assert "tau is 0.225 times" in less.text and "a motor current in A" in less.text
-    assert "ask for 5, 1, 4 N·m/A at the joints" not in less.remedy or less.remedy
+    assert less.remedy.endswith("ask for 5, 1, 4 N·m/A at the joints")
     (wrong,) = scale_doubts(arm, [0.02, 0.03, 0.02])
     assert wrong.is_error and "of the motor side of a gear 1:50" in wrong.text
     (lone,) = scale_doubts(arm, [1.0, 0.08, 1.0])
@@ -602,8 +602,6 @@ def test_a_log_that_is_read_wrong_is_told_by_what_masses_leave(change, says, joi
     if says:
         (doubt,) = [d for d in doubts if says in d.text]
         assert doubt.joints == joints and doubt.evidence > np.exp(0.5)
-        right = change(change(asked(arm))) if change in (turned, swapped) else None
-        assert right is None or np.allclose(right.tau, asked(arm).tau)
 
 
 def test_speeds_that_confirm_a_clock_rule_out_another_one():
@@ -612,11 +610,11 @@ def test_speeds_that_confirm_a_clock_rule_out_another_one():
         return replace(slow, logged=slow.v)
 
     assert not [d for d in read_wrong(logged, pendulum(2)) if d.channel == "t"]
-    none = replace(pendulum(2), chain=pendulum(2).chain)
-    state = asked(none)
-    bare = Recording(0.02 * np.arange(400), state.q, joints=none.joints)
-    assert list(doubts_of_physics(bare, none, state)) == []
-    assert list(doubts_of_physics(bare, None, state)) == []
+    arm, state = pendulum(2), turned(asked(pendulum(2)))
+    bare = Recording(0.02 * np.arange(400), state.q, joints=arm.joints)
+    assert list(doubts_of_physics(bare, arm, state)) == []
+    whole = replace(bare, tau=state.tau)
+    assert list(doubts_of_physics(whole, None, state)) == []
 
 
 # --- what a log covers ----------------------------------------------------------------
