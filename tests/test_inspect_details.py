@@ -143,6 +143,7 @@ SWAPPED, SORTED = np.array([0, 3, 2, 1, 4, 5]), np.array([4, 2, 3, 5, 0, 1])
         (lambda s: columns(s, STRAIGHT, ("tau",), -1.0), "the other way round"),
         (lambda s: columns(s, STRAIGHT, ("tau",), 0.001 ** (TURNED < 0)), "kN·m"),
         (lambda s: columns(s, STRAIGHT, ("tau",), 1000.0 ** (TURNED < 0)), "mN·m"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), 0.01 ** (TURNED < 0)), "motor side"),
         (lambda s: columns(s, STRAIGHT, ("q",), np.rad2deg(1.0)), "degrees"),
         (lambda s: sped(s, 1e-3), "milliseconds"),
         (lambda s: sped(s, 1e-6), "microseconds"),

@@ -1,7 +1,11 @@
 """Replays where JAX computes: those of MuJoCo's C, or one clear line."""
 
+import copy
+from contextlib import nullcontext
 from dataclasses import replace
+from types import ModuleType, SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -92,3 +96,119 @@ def test_without_jax_one_line_says_what_to_install(path, tmp_path, monkeypatch, 
     said = capsys.readouterr().err
     assert "pip install 'hybrid-arm[gpu]'" in said and len(said.splitlines()) == 1
     assert not out.exists()
+
+
+def sliced(x, k):
+    """Element k of every array of nested containers."""
+    if isinstance(x, dict):
+        return {name: sliced(y, k) for name, y in x.items()}
+    if isinstance(x, list | tuple):
+        return type(x)(sliced(y, k) for y in x)
+    return x[k]
+
+
+class Slow:
+    """What is used of JAX and MJX, by NumPy and MuJoCo in loops."""
+
+    def __init__(self):
+        self.numpy, self.lax = np, SimpleNamespace(scan=self.scan)
+        self.calls = []
+
+    @staticmethod
+    def scan(step, state, inputs):
+        out = []
+        for x in inputs:
+            state, y = step(state, x)
+            out.append(y)
+        return state, np.array(out)
+
+    def vmap(self, f, in_axes):
+        assert in_axes == (None, None, 0, 0, 0, 0, 0)
+
+        def loop(*given):
+            count = len(given[5])
+            self.calls.append(count)
+            found = [
+                f(*given[:2], *(sliced(x, k) for x in given[2:])) for k in range(count)
+            ]
+            states = tuple(np.array([x[0][i] for x in found]) for i in range(3))
+            return states, np.array([x[1] for x in found])
+
+        return loop
+
+    @staticmethod
+    def put_model(model):
+        def tree_replace(own):
+            new = copy.copy(model)
+            new.opt.timestep = own["opt.timestep"]
+            for name in own.keys() - {"opt.timestep"}:
+                getattr(new, name)[:] = own[name]
+            return new
+
+        return SimpleNamespace(tree_replace=tree_replace)
+
+    @staticmethod
+    def step(model, now):
+        data = mujoco.MjData(model)
+        for name, x in now.items():
+            getattr(data, name)[:] = x
+        mujoco.mj_step(model, data)
+        return data
+
+
+@pytest.fixture
+def slow(monkeypatch):
+    from hybrid.servo import accelerated
+
+    made, jax, mjx = Slow(), ModuleType("jax"), ModuleType("mujoco.mjx")
+    jax.numpy, jax.lax, jax.vmap, jax.jit = np, made.lax, made.vmap, lambda f: f
+    jax.enable_x64, jax.device_put = lambda _: nullcontext(), lambda x: x
+    mjx.put_model, mjx.step = made.put_model, made.step
+    mjx.make_data = lambda model: SimpleNamespace(replace=dict)
+    for name, module in (("jax", jax), ("mujoco.mjx", mjx)):
+        monkeypatch.setitem(__import__("sys").modules, name, module)
+    monkeypatch.setattr(mujoco, "mjx", mjx, raising=False)
+    accelerated._loop.cache_clear()
+    yield made
+    accelerated._loop.cache_clear()
+
+
+def test_the_loop_for_a_gpu_has_the_law_of_mujoco_s_motor(path, slow, monkeypatch):
+    """Where neither JAX nor MJX is installed, by loops in their place."""
+    from hybrid.servo import accelerated
+
+    monkeypatch.setattr(accelerated, "_STEPS", 24)
+    monkeypatch.setattr(accelerated, "_LEAST", 2)
+    robot, parts = Robot.load(path), [stretch(16), stretch(9)]
+    file = Drive.declared(robot)
+    usual = file.at(
+        stiffness=12.0, damping=0.8, coulomb=0.2, armature=0.02, delay=0.013
+    )
+    drives = [
+        usual,
+        usual.at(dead_band=0.02, stiction=0.15, mass=1.5, spring=2.0, offset=0.1),
+        usual.at(stall=0.3, upper=0.8, sign=-1.0, zero=0.1),
+    ]
+    simulator = ServoSimulator(robot)
+    exact = simulator.replay(parts, drives)
+    simulator.roll = accelerated.GpuRollout(robot)
+    found = simulator.replay(parts, drives)
+    assert slow.calls == [8, 8, 8]  # 60 steps in calls of 24, of 6 replays and 2 more
+    for x, y in zip(exact, found, strict=True):
+        for a, b in zip(x, y, strict=True):
+            assert np.sqrt(np.mean((a - b) ** 2, axis=0)).max() < 1e-6
+    assert np.abs(exact[0][0] - exact[1][0]).max() > 1e-3
+
+
+def test_a_gpu_is_asked_for_and_none_is_seen(path, slow, monkeypatch):
+    import jax
+
+    monkeypatch.setattr("hybrid.extras.find_spec", lambda _: object())
+    cpu, gpu = SimpleNamespace(platform="cpu"), SimpleNamespace(platform="gpu")
+    for seen, refused in (([cpu], True), ([cpu, gpu], False), ([gpu], False)):
+        jax.devices = lambda seen=seen: seen
+        if refused:
+            with pytest.raises(HybridError, match="JAX sees none"):
+                ServoSimulator(Robot.load(path), gpu=True)
+        else:
+            ServoSimulator(Robot.load(path), gpu=True)

@@ -8,8 +8,9 @@ from pendulum import pendulum
 from scipy.stats import multivariate_normal
 
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
-from hybrid.servo.evidence import COST, evidence
+from hybrid.servo.evidence import COST, Curvature, Explanation, evidence
 from hybrid.servo.fit import _findings, _split
+from hybrid.servo.moves import probed, promising
 from hybrid.servo.noise import Noise, usual_error
 from hybrid.servo.problem import SHARED, Problem
 from hybrid.servo.search import Search
@@ -253,3 +254,104 @@ def test_one_log_in_four_is_kept_aside_or_the_end_of_each():
     learn, unseen = _split(names[:2])
     assert [len(x.q) for x in learn] == [175, 175] and len(unseen) == 2
     np.testing.assert_array_equal(unseen[1].q, names[1].q[175:])
+
+
+def sharp(truth, resting=False):
+    """Logs, the file's servos with damping free, and an expansion about them."""
+    made = problem(truth)
+    made = replace(made, resting=np.full(2, resting))
+    noise = Noise(np.full(2, NOISE**-2), np.full(2, 1e3))
+    free = np.zeros_like(FREE)
+    free[NAMES.index("damping")] = not resting
+    found = made.at(FILE.coordinates, free)
+    return made, found, Curvature.of(made, found, noise), noise
+
+
+def moves(made, found, about):
+    changes, errors = probed(made, found.x, FREE, FILE.coordinates)
+    return {
+        (NAMES[m.k], m.j): m for m in promising(made, found, about, changes, errors)
+    }
+
+
+def test_what_a_number_promises_is_what_it_adds_where_replays_are_linear():
+    truth = FILE.at(spring=[1.0, 0.0], damping=[0.5, 0.4], stiction=[0.0, 0.8])
+    made, found, about, noise = sharp(truth)
+    told = moves(made, found, about)
+    none = np.zeros_like(FREE)
+    before = evidence(made, Explanation(found, none), noise)
+    assert set(list(told)[:2]) == {("stiction", 1), ("spring", 0)}
+    for name, j in (("spring", 0), ("stiction", 1)):
+        causes, k = none.copy(), NAMES.index(name)
+        causes[k, j] = True
+        wide = replace(found, free=found.free | causes)
+        gain = evidence(made, Explanation(wide, causes), noise) - before
+        move = told[name, j]
+        assert move.gain == pytest.approx(gain[j], rel=1e-6) and gain[j] > 10.0
+        assert gain[1 - j] == pytest.approx(0.0, abs=1e-6)
+        for other in (name, "damping"):
+            row = NAMES.index(other)
+            assert move.x[row, j] == pytest.approx(truth.coordinates[row, j], abs=0.02)
+            assert move.x[row, 1 - j] == found.x[row, 1 - j]
+    assert all(m.gain > 0 for m in told.values())
+    assert [m.gain for m in told.values()] == sorted(
+        (m.gain for m in told.values()), reverse=True
+    )
+
+
+def test_what_a_mass_promises_counts_at_all_joints():
+    truth = FILE.at(mass=[1.0, 1.2])
+    made, found, about, noise = sharp(truth, resting=True)
+    move = moves(made, found, about)["mass", 1]
+    causes, k = np.zeros_like(FREE), NAMES.index("mass")
+    causes[k, 1] = True
+    before = evidence(made, Explanation(found, np.zeros_like(FREE)), noise)
+    best = made.at(move.x, causes)
+    after = evidence(made, Explanation(best, causes), noise)
+    assert move.gain == pytest.approx((after - before).sum(), rel=1e-6)
+    assert move.x[k, 1] == pytest.approx(np.log(1.2), abs=0.005)
+
+
+def test_a_change_of_sign_is_taken_whole_and_costs_no_width():
+    truth = FILE.at(sign=[1.0, -1.0])
+    made, found, about, noise = sharp(truth, resting=True)
+    move = moves(made, found, about)["sign", 1]
+    assert move.x[NAMES.index("sign")].tolist() == [1.0, -1.0]
+    after = noise.cost(made.at(truth.coordinates, found.free).errors)
+    fall = (noise.cost(found.errors) - after).sum()
+    assert move.gain == pytest.approx(fall - COST, rel=1e-6)
+    weak = FILE.at(sign=[1.0, 0.9])  # of a whole change only a part would fit
+    assert ("sign", 1) not in moves(*sharp(weak, resting=True)[:3])
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ({"stiffness": [15.0, 20.0]}, [("mass", 1)]),
+        ({"mass": [1.0, 1.5]}, [("damping", 0), ("offset", 1)]),
+        ({"zero": [0.0, 0.08]}, [("zero", 0), ("mass", 0), ("mass", 1)]),
+    ],
+)
+def test_causes_that_explain_nothing_are_dropped_and_no_others(right, wrong):
+    truth = FILE.at(**right)
+    search = searched(truth)
+    known = {(n, j) for n in right for j in (0, 1) if truth[n][j] != FILE[n][j]}
+    causes_ = np.zeros_like(FREE)
+    for name, j in (*known, *wrong):
+        causes_[NAMES.index(name), j] = True
+    search.met.append(search.plain)
+    found = search.pruned(search.of(truth.coordinates, causes_))
+    assert causes(found) == known
+    assert set(found.losses) == {(NAMES.index(n), j) for n, j in known}
+    assert all(x > 10.0 for x in found.losses.values())
+    for name, j in wrong:
+        if (name, j) not in known:
+            k = NAMES.index(name)
+            assert found.found.x[k, j] == FILE.coordinates[k, j]
+
+
+def test_a_limit_is_only_looked_for_where_it_would_be_felt():
+    """Below that of the file; what it would be above is told by no replay."""
+    for stall, told in (([90.0, 60.0], set()), ([40.0, 60.0], {("stall", 0)})):
+        found = moves(*sharp(FILE.at(stall=stall), resting=True)[:3])
+        assert {at for at in found if at[0] == "stall"} == told

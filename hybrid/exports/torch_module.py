@@ -31,15 +31,24 @@ def _of_tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
     )  # fmt: skip
 
 
+def _compared(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Let a comparison be 1 or 0, which laws may calculate with, as in C and ONNX."""
+    return lambda x, y: function(x, y).to(torch.float64)
+
+
+def _chosen(condition: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    return torch.where(condition > 0.5, x, y)
+
+
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": operator.add, "subtract": operator.sub, "multiply": operator.mul,
     "divide": operator.truediv, "power": operator.pow, "negative": operator.neg,
-    "less": operator.lt, "less_equal": operator.le,
-    "greater": operator.gt, "greater_equal": operator.ge,
+    "less": _compared(operator.lt), "less_equal": _compared(operator.le),
+    "greater": _compared(operator.gt), "greater_equal": _compared(operator.ge),
     "absolute": torch.abs, "sign": torch.sign, "sqrt": torch.sqrt, "exp": torch.exp,
     "log": torch.log, "sin": torch.sin, "cos": torch.cos, "tanh": torch.tanh,
     "minimum": _of_tensors(torch.minimum), "maximum": _of_tensors(torch.maximum),
-    "where": _of_tensors(torch.where),
+    "where": _of_tensors(_chosen),
 }  # fmt: skip
 _BATCH = 3  # rows of the example for tracing
 

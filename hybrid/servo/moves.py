@@ -99,7 +99,8 @@ def _move(
     seen: slice | list[int] = slice(None) if SHARED[k] else [j]
     secant = after - found.errors
     weighed = (about.weight * secant)[:, seen].ravel()
-    cross = about.slopes[others][:, :, seen].reshape(int(others.sum()), -1) @ weighed
+    cross = about.slopes[others][:, :, seen]
+    cross = cross.reshape(len(cross), weighed.size) @ weighed
     rest = np.linalg.solve(
         about.matrix[np.ix_(others, others)], np.c_[about.gradient[others], cross]
     )

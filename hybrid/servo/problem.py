@@ -170,7 +170,7 @@ class Problem:
         """
         spread = self.prior.spread if spread is None else spread
         weight = noise.weights(found.errors)
-        flat = slopes.reshape(len(slopes), -1)
+        flat = slopes.reshape(len(slopes), weight.size)
         matrix = (flat * weight.ravel()) @ flat.T
         gradient = flat @ (weight * found.errors).ravel()
         inverse = 1.0 / spread[found.free] ** 2
