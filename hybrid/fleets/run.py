@@ -138,8 +138,8 @@ def _answers(result: Any, count: int) -> tuple[list[dict[str, Any]], float]:
     """Answers and seconds of a task; an error of its worker is an answer too."""
     if isinstance(result, CancelledError):
         raise result
-    found, error, *_ = result
-    if isinstance(found, type):
-        reason = " ".join(str(error).split())
+    if isinstance(result[0], type):  # of an exception
+        reason = " ".join(str(result[1]).split())
         return [{"failed": LOST, "reason": reason}] * count, np.inf
-    return found, error
+    found, seconds = result
+    return found, seconds
