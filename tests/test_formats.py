@@ -1,5 +1,6 @@
 """Every format gives back what was written, whatever its columns are called."""
 
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from pyarrow import parquet
 
 from hybrid.errors import HybridError, HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, recording_from_table, write
+from hybrid.recording.formats.csv import read_csv
 from hybrid.recording.labels import parse_label
 
 # import_module, because the package exports the function of the same name
@@ -196,7 +198,10 @@ def test_text_in_an_ignored_column_does_no_harm(tmp_path):
         "t,q1,tau1\n0,1.5e0,+2\n1E-1,2.,3\n",
     ],
 )
-def test_sane_dialects_of_csv_mean_the_same(tmp_path, content):
+@pytest.mark.parametrize("installed", [True, False])
+def test_sane_dialects_of_csv_mean_the_same(tmp_path, monkeypatch, content, installed):
+    if not installed:
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
     path = tmp_path / "log.csv"
     path.write_bytes(content.encode())
     recording = read(path)
@@ -328,7 +333,10 @@ def test_a_torque_that_is_commanded_is_not_taken_for_a_measured_one():
 
 
 @pytest.mark.parametrize("zone", ["", "Z", "+00:00", "+02:00", "-0330"])
-def test_dates_of_any_zone_are_a_clock(tmp_path, zone):
+@pytest.mark.parametrize("installed", [True, False])
+def test_dates_of_any_zone_are_a_clock(tmp_path, monkeypatch, zone, installed):
+    if not installed:
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
     rows = [f"2023-11-14T22:13:20.{k:02d}{zone},{k / 7},{k / 3}" for k in range(50)]
     (tmp_path / "log.csv").write_text("\n".join(["time,q1,tau1", *rows]))
     found = read(tmp_path / "log.csv")
@@ -346,6 +354,54 @@ def test_without_pyarrow_parquet_alone_is_refused_and_the_line_names_its_extra(
             call(tmp_path / "log.parquet")
     write(log(), tmp_path / "log.csv")
     assert read(tmp_path / "log.csv") == log()
+
+
+@given(
+    cells=st.lists(
+        st.sampled_from(
+            [
+                "",
+                " ",
+                "1",
+                " 2.5 ",
+                "+3",
+                "-4e-3",
+                ".5",
+                "6.",
+                "nan",
+                "inf",
+                "-Infinity",
+            ]
+            + [
+                "0.1234567890123456789",
+                "1e400",
+                "1_0",
+                "0x1",
+                "x",
+                "1700000000123456789",
+            ]
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_a_column_of_csv_is_the_same_with_and_without_pyarrow(tmp_path_factory, cells):
+    path = tmp_path_factory.mktemp("csv") / "log.csv"
+    rows = [f"{k / 10},{cell},{k}" for k, cell in enumerate(cells)]
+    path.write_text("\n".join(["t,q1,tau1", *rows]))
+
+    def column():
+        ((table,),) = read_csv(path)
+        try:
+            (block,) = table.load((1,))
+            return block[1].tolist()
+        except RecordingError as error:
+            return str(error)
+
+    with pytest.MonkeyPatch.context() as patch:
+        by_arrow = column()
+        patch.setitem(sys.modules, "pyarrow", None)
+        assert repr(by_arrow) == repr(column())
 
 
 def test_dates_of_any_zone_in_text_are_one_clock(tmp_path):
