@@ -16,6 +16,8 @@ ALIKE = {
     "backlash": {"deadzone"},
 }  # fmt: skip
 
+ANYWHERE = "payload", "gravity_tilt"  # which are not of one joint
+
 
 def outcome(fit: ServoFit, fault: str, j: int) -> str:
     """What is said, against what is true."""
@@ -23,7 +25,7 @@ def outcome(fit: ServoFit, fault: str, j: int) -> str:
     if fault == "none":
         return "right" if not said else f"false: {named(said)}"
     alike, joint = {fault} | ALIKE.get(fault, set()), fit.robot.joints[j]
-    here = {x: e for x, e in said.items() if fault == "payload" or x[1] == joint}
+    here = {x: e for x, e in said.items() if fault in ANYWHERE or x[1] == joint}
     good = {x for x, effects in here.items() if effects & alike}
     others = {x for x in said if x not in good}
     if good:

@@ -30,6 +30,7 @@ class Arm:
         self.ways[j] = -1.0 if fault == "sign" else 1.0
         self.dead = 0.02 if fault == "deadzone" else 0.0  # rad
         self.falling = 0.06 * robot.tau_max[j] if fault == "stribeck" else 0.0  # N·m
+        self.worn = 0.3 if fault == "load_friction" else 0.0
         self.most = np.full(n, np.inf)  # rad in a step
         self.most[j] = 0.4 * STEP if fault == "goal_speed" else np.inf
         self.plain = model.dof_frictionloss.copy()
@@ -65,4 +66,7 @@ class Arm:
         if self.falling:
             more = self.falling * np.exp(-((data.qvel[at] / 0.05) ** 2))
             self.model.dof_frictionloss[at] = self.plain[at] + more
+        if self.worn:
+            load = data.qfrc_bias[at] + self.model.dof_armature[at] * data.qacc[at]
+            self.model.dof_frictionloss[at] = self.plain[at] + self.worn * abs(load)
         mujoco.mj_step(self.model, data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.effects.backlash import Backlash
 from hybrid.robot import Robot
@@ -13,6 +14,7 @@ FAULTS = (
     "none", "controller_gain", "viscous", "coulomb", "armature", "saturation",
     "torque_offset", "command_latency", "encoder_offset", "stribeck", "payload",
     "spring", "deadzone", "backlash", "goal_speed", "contact", "sign",
+    "load_friction", "nonlinear_viscous", "gravity_tilt",
 )  # fmt: skip
 
 
@@ -32,6 +34,11 @@ def spoilt(robot: Robot, fault: str, j: int) -> mujoco.MjModel:
             model.dof_damping[d] += robot.kd[j]
         case "coulomb":
             model.dof_frictionloss[d] += 0.06 * stall
+        case "nonlinear_viscous":
+            model.dof_dampingpoly[d, 0] += 0.15 * stall
+        case "gravity_tilt":
+            tilt = Rotation.from_rotvec([0.1, -0.05, 0.0])
+            model.opt.gravity = tilt.apply(model.opt.gravity)
         case "armature":
             model.dof_armature[d] *= 3.0
         case "saturation":

@@ -321,11 +321,51 @@ def test_a_link_falls_through_its_gap_where_its_load_changes_sign(robot):
     np.testing.assert_allclose(loose[-1], tight[-1], atol=5e-3)
 
 
+def gravity_torque(robot, q, gravity=None) -> np.ndarray:
+    """Torque that holds the arm, (N, 2), [N·m]."""
+    g = robot.chain.gravity if gravity is None else gravity
+    chain = replace(robot.chain, gravity=g)
+    return inverse_dynamics(chain, chain.inertial, q, 0 * q, 0 * q)
+
+
+def test_friction_of_load_lags_a_slow_servo_by_its_share_of_the_weight(robot):
+    slow = ramp(0.9, 1.2)
+    plain, worn = (replay(robot, slow, load=x) for x in (0.0, [0.3, 0.0]))
+    late = slice(len(plain) // 2, None)
+    share = 0.3 * np.abs(gravity_torque(robot, plain)[late, 0]) / 25.0
+    np.testing.assert_allclose((plain - worn)[late, 0], share, rtol=0.05)
+
+
+def test_curved_damping_lags_a_servo_by_the_square_of_its_speed(robot):
+    fast = ramp(-0.5, 1.5, 2.0)  # 1 rad/s
+    plain, curved = (replay(robot, fast, quadratic=x) for x in (0.0, [0.5, 0.0]))
+    lighter = gravity_torque(robot, plain) - gravity_torque(robot, curved)
+    drag = 25.0 * (plain - curved) + lighter
+    v, before = (np.gradient(x, 1 / RATE, axis=0) for x in (curved, plain))
+    expected = 0.5 * v * np.abs(v) + (0.4 + 0.6) * (v - before)
+    np.testing.assert_allclose(drag[-30:, 0], expected[-30:, 0], rtol=0.03)
+
+
+@pytest.mark.parametrize("name", ["roll", "pitch"])
+def test_an_arm_on_a_tilted_base_sags_under_the_gravity_of_that_base(robot, name):
+    goal = np.array([0.4, 0.3])
+    drive = Drive.declared(robot).at(**{name: 0.15})
+    q = replay(robot, steady(goal, goal), coulomb=1e-4, **{name: 0.15})[-1]
+    down = drive.tilt.turned(robot.chain.gravity)
+    assert np.linalg.norm(down) == pytest.approx(9.81)
+    angle = np.arccos(down @ robot.chain.gravity / 9.81**2)
+    assert angle == pytest.approx(0.15)
+    torque = drive["stiffness"] * (goal - q)
+    held = gravity_torque(robot, q[None], down)[0]
+    np.testing.assert_allclose(torque, held, atol=1e-3)
+
+
 def test_a_batch_of_replays_is_each_of_them(robot):
     drive = Drive.declared(robot)
     drives = [drive.at(**x) for x in (
         {}, {"play": [0.03, 0.0]}, {"dead_band": 0.02}, {"play": [0.0, 0.02]},
-        {"play": 0.01, "dead_band": [0.02, 0.0]},
+        {"play": 0.01, "dead_band": [0.02, 0.0]}, {"load": [0.2, 0.0]},
+        {"load": 0.1, "dead_band": 0.02}, {"quadratic": 0.2}, {"roll": 0.1},
     )]  # fmt: skip
     stretches = [ramp(-0.4, 0.4, 1.0), ramp(0.3, -0.2, 2.0)]
     every = ServoSimulator(robot).replay(stretches, drives)
@@ -466,17 +506,21 @@ def test_the_first_guess_is_within_a_factor_of_two(robot):
     assert (guess["damping"] < damping * 2).all()
 
 
-def test_the_written_file_moves_as_the_servos_that_were_found(folder, tmp_path):
-    fit = found(folder, delay=0.06)
-    fit.save(tmp_path / "fixed.xml")
+@pytest.mark.parametrize(
+    "changed", [{}, {"quadratic": 0.3, "roll": 0.1, "pitch": -0.1}]
+)
+def test_a_written_file_moves_as_the_servos_that_were_found(folder, tmp_path, changed):
+    drive = found(folder, delay=0.06).drive.at(**changed)
+    robot = arm(folder)
+    write_servos(robot, drive, tmp_path / "fixed.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
     # The file's delays are filled with the first command, as of an arm at rest.
     stretch = replace(stretches_of([log(9, seconds=6.0)])[0], before=None)
     parts = round(stretch.step / model.opt.timestep)
-    ours = ServoSimulator(fit.robot, step=model.opt.timestep)
-    ((expected,),) = ours.replay([stretch], [fit.drive])
+    ours = ServoSimulator(robot, step=model.opt.timestep)
+    ((expected,),) = ours.replay([stretch], [drive])
     for k in range(model.nu):
         held = np.full(int(model.actuator_history[k, 0]), stretch.command[0, k])
         if held.size:
@@ -484,7 +528,7 @@ def test_the_written_file_moves_as_the_servos_that_were_found(folder, tmp_path):
     data.qpos[:], data.qvel[:] = stretch.q[0], stretch.v
     data.ctrl[:] = stretch.command[0]
     mujoco.mj_forward(model, data)
-    data.act[:] = bristles(fit.drive, stretch, stretch.command[0], data.qfrc_bias)
+    data.act[:] = bristles(drive, stretch, stretch.command[0], data.qfrc_bias)
     moved = [data.qpos.copy()]
     for before, after in zip(stretch.command[:-1], stretch.command[1:], strict=True):
         for i in range(parts):

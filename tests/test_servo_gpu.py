@@ -3,6 +3,7 @@
 import copy
 from contextlib import nullcontext
 from dataclasses import replace
+from operator import attrgetter
 from types import ModuleType, SimpleNamespace
 
 import mujoco
@@ -142,7 +143,7 @@ class Slow:
             new = copy.copy(model)
             new.opt.timestep = own["opt.timestep"]
             for name in own.keys() - {"opt.timestep"}:
-                getattr(new, name)[:] = own[name]
+                attrgetter(name)(new)[:] = own[name]
             return new
 
         return SimpleNamespace(tree_replace=tree_replace)

@@ -46,11 +46,18 @@ class GravityTilt(Effect):
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Rotate the spec's gravity by the angle, exactly."""
+        spec.option.gravity = self.turned(np.array(spec.option.gravity))
+
+    def turned(self, gravity: Array) -> Array:
+        """Gravity in the frame of the tilted base, shape (3,), [m/s²].
+
+        Args:
+            gravity: Gravity in the frame of the level one.
+        """
         from scipy.spatial.transform import Rotation
 
-        gravity = np.array(spec.option.gravity)
         tilt = Rotation.from_rotvec(self.gain_values @ level_axes(gravity))
-        spec.option.gravity = tilt.inv().apply(gravity)
+        return np.asarray(tilt.inv().apply(gravity))
 
 
 def level_axes(gravity: Array) -> Array:

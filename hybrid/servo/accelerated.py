@@ -40,8 +40,8 @@ _FIELDS = (
     "qpos0",
     "qpos_spring",
 )
+_OPTIONS = "gravity", "timestep"
 _MOTORS = ("actuator_gainprm", "actuator_biasprm", "actuator_dynprm")
-_STARTS = ("dead", "state")
 _SEARCHES = 4  # of the solver, and of its lines: stops of joints need no more
 _STEPS = 512  # of one call of the loop
 _LEAST, _MORE = 256, 4  # replays: a loop is compiled for 256, 1024, 4096, ...
@@ -112,9 +112,12 @@ class GpuRollout:
         row = {id(m): k for k, m in enumerate(models)}
         which = [row[id(x.model)] for x in every]
         fields = {x: np.array([getattr(m, x) for m in models])[which] for x in _FIELDS}
-        fields["opt.timestep"] = np.array([m.opt.timestep for m in models])[which]
+        for name in _OPTIONS:
+            values = np.array([getattr(m.opt, name) for m in models])
+            fields[f"opt.{name}"] = values[which]
         motors = [np.array([getattr(m, x) for m in models])[which] for x in _MOTORS]
-        dead, states = (np.array([getattr(x, k) for x in every]) for k in _STARTS)
+        dead = np.array([x.drive["dead_band"] for x in every])
+        states = np.array([x.state for x in every])
         state = tuple(np.split(states, [1, 1 + n, 1 + 2 * n], axis=1)[1:])
         arm, moved = (self._model, self._data), []
         with jax.enable_x64(True):

@@ -7,12 +7,15 @@ with command c, delay d, damping b of which the servo has the share b_s, stall t
 
     ż = q̇ − σ |q̇| z / g(q̇),   f = σ z + σ₁ ż,   g = F_c + (F_s − F_c) e^−(q̇/v_s)²
 
+F_c grows by μ |τ − f| with the load. A curved damping c q̇|q̇| adds to b.
+
 The servo ignores position errors within a dead band. Its goal takes at least a time
 ``pace`` for a rad. ``lower`` and ``upper`` are the stops of the joint. A spring pulls
 the joint to its zero. ``mass`` is the mass of the link over that of the file. ``sign``
 is −1 if the axis points the other way. ``ground`` is the height of a centre of mass
 when the link touches the ground. Between motor and link a gear may have ``play``, half
-its gap; the encoder, which the servo reads as well, is on the link.
+its gap; the encoder, which the servo reads as well, is on the link. ``roll`` and
+``pitch`` of the base stand at the first joint.
 
 Sources: Canudas de Wit et al. 1995, doi 10.1109/9.376053 (friction); Nordin and Gutman
 2002, doi 10.1016/S0005-1098(02)00047-X (backlash).
@@ -25,8 +28,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+from hybrid.effects.gravity_tilt import GravityTilt
 from hybrid.errors import RobotError
 from hybrid.robot import Robot
 
@@ -50,6 +55,7 @@ class DriveQuantity:
         positive: Whether the value is above zero. Then its logarithm is fitted.
         least: Smallest value. A presliding below it is unstable in a replay.
         shared: Whether it changes the motion of other joints as much as of its own.
+        base: Whether it is one number of the arm, which stands at its first joint.
         unsaid: Whether MJCF cannot express it.
         alone: Whether it is probed at one joint at a time, since it may be unstable at
             another.
@@ -64,6 +70,7 @@ class DriveQuantity:
     positive: bool = True
     least: float = -np.inf
     shared: bool = False
+    base: bool = False
     unsaid: bool = False
     alone: bool = False
     probe: float = 0.05
@@ -95,10 +102,20 @@ QUANTITIES = (
         alone=True,
         probe=0.25,
     ),
+    DriveQuantity("load", "", "load_friction", 0.1, "", False, 0.0, unsaid=True),
+    DriveQuantity(
+        "quadratic", "N·m·s²/rad²", "nonlinear_viscous", 0.1, "torque", False, 0.0
+    ),
     DriveQuantity("pace", "s/rad", "goal_speed", 1.0, "", False, 0.0, unsaid=True),
     DriveQuantity("lower", "rad", "contact", 0.5, "", False),
     DriveQuantity("upper", "rad", "contact", 0.5, "", False),
     DriveQuantity("mass", "", "payload", 0.3, shared=True),
+    DriveQuantity(
+        "roll", "rad", "gravity_tilt", 0.05, "", False, shared=True, base=True
+    ),
+    DriveQuantity(
+        "pitch", "rad", "gravity_tilt", 0.05, "", False, shared=True, base=True
+    ),
     DriveQuantity("ground", "m", "contact", 0.2, "", False, shared=True),
     DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0, shared=True),
 )
@@ -128,6 +145,17 @@ class Drive:
         for name, x in changed.items():
             values[NAMES.index(name)] = x
         return replace(self, values=values)
+
+    @property
+    def tilt(self) -> GravityTilt:
+        """Tilt of the base."""
+        angles = {name: float(self[name][0]) for name in ("roll", "pitch")}
+        return GravityTilt(tuple(range(self.stall.size)), angles)
+
+    @property
+    def plays(self) -> NDArray[np.bool_]:
+        """Whether the gear of each joint has play, shape (n,)."""
+        return np.asarray(self["play"] > 0)
 
     @property
     def bristle(self) -> Array:
@@ -183,6 +211,7 @@ class Drive:
             "mass": np.ones(n),
             "ground": -_reach(robot),
             "sign": np.ones(n),
+            "quadratic": np.nan_to_num(robot.quadratic),
         }
         known["stiction"] = np.zeros(n)
         for j, level, speed in robot.falling:

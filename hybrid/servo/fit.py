@@ -77,6 +77,7 @@ def fit_servo(
     learn, unseen = _split(stretches_of(logs))
     problem, start = _problem(simulator, learn, prior)
     allowed = np.tile(~problem.resting, (len(NAMES), 1))
+    allowed[[x.base for x in QUANTITIES], 1:] = False
     for at in struck:
         allowed[at] = False
     progress("servos: plain fit")

@@ -157,10 +157,10 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
         getattr(model, f"actuator_{name}")[:, : x.shape[1]] = x
     model.actuator_forcelimited[:] = 0
     model.actuator_ctrllimited[:] = 0
-    plays = drive["play"] > 0
-    own, behind = places(plays)
+    own, behind = places(plays := drive.plays)
     model.dof_frictionloss[:] = 0.0
     model.dof_damping[own] = dampings(robot, drive)[1]
+    model.dof_dampingpoly[own, 0] = drive["quadratic"]
     model.dof_armature[own] = drive["armature"]
     model.jnt_stiffness[own], model.qpos_spring[own] = springs(robot, drive)
     model.jnt_range[own] = stops(drive)
@@ -242,7 +242,9 @@ def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Arr
         off - np.clip(off, -drive["dead_band"], drive["dead_band"])
     )
     rest = np.clip(pull, -drive["stall"], drive["stall"]) + drive["offset"] - weight
-    most = drive["coulomb"] + drive["stiction"]
-    sliding = np.sign(stretch.v) * drive["coulomb"]
+    level = drive["coulomb"] + drive["load"] * np.abs(weight)
+    most = level + drive["stiction"]
+    sliding = np.sign(stretch.v) * level
     held = np.clip(rest, -most, most)
-    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / drive.bristle
+    bristle = level / drive["presliding"]
+    return np.where(np.abs(stretch.v) > _CREEPS, sliding, held) / bristle

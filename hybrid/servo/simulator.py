@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.robot import Robot
@@ -30,6 +29,8 @@ from hybrid.servo.stretch import Stretch
 _HALVINGS = 4  # of the step, at most
 _MODELS = 64  # compiled models in the cache
 _STEP = 0.005  # s: longest step of the physics
+_ONLY_HERE = "play", "load", "quadratic"  # MJX lacks it
+_STEPPED = "dead_band", "play", "load"  # servos of MuJoCo lack it
 _SPARE = 0.1  # steps: clocks are not exact, so that as much more takes no step more
 
 
@@ -42,8 +43,17 @@ class Run:
     model: Any
     state: Array
     control: Array  # at every physics step, (·, n)
-    dead: Array
-    plays: NDArray[np.bool_]  # whether gears have play, (n,)
+    drive: Drive
+
+    @property
+    def stepped(self) -> bool:
+        """Whether the servos have what has to be set at every step."""
+        return any(self.drive[name].any() for name in _STEPPED)
+
+    @property
+    def only_here(self) -> bool:
+        """Whether a GPU cannot replay it."""
+        return any(self.drive[name].any() for name in _ONLY_HERE)
 
 
 class ServoSimulator:
@@ -65,6 +75,7 @@ class ServoSimulator:
 
             check_gpu()
             self.roll = GpuRollout(robot)
+        self._declared = Drive.declared(robot)
         self._models: dict[tuple[float, bytes], Any] = {}
         self._weights: dict[tuple[Stretch, bytes], Array] = {}
 
@@ -88,9 +99,9 @@ class ServoSimulator:
         """
         runs = self.runs(stretches, drives)
         moved: list[Array] = [np.empty(0)] * len(runs)
-        for play in (False, True):
-            own = [k for k, x in enumerate(runs) if x.plays.any() == play]
-            roll = rolled if play or None in drives else self.roll
+        for here in (False, True):  # what only MuJoCo's C can do, and the others
+            own = [k for k, x in enumerate(runs) if x.only_here == here]
+            roll = rolled if here or None in drives else self.roll
             rows = roll([runs[k] for k in own]) if own else ()
             for k, x in zip(own, rows, strict=True):
                 moved[k] = self._seen(runs[k], x)
@@ -115,13 +126,14 @@ class ServoSimulator:
         step, none = round(stretch.step / parts, 9), np.zeros(n)
         if step not in models:
             models[step] = self._model(drive, step)
-        late, pace, dead = (
-            none if drive is None else drive[name]
-            for name in ("delay", "pace", "dead_band")
+        late, pace = (
+            none if drive is None else drive[name] for name in ("delay", "pace")
         )
         control = goals(stretch, late, pace, parts)
         state = self._state(models[step], drive, stretch, control[0])
-        return Run(stretch, parts, models[step], state, control, dead, _plays(drive, n))
+        return Run(
+            stretch, parts, models[step], state, control, drive or self._declared
+        )
 
     def _seen(self, run: Run, moved: Array) -> Array:
         after = moved[run.parts - 1 : len(run.control) : run.parts]
@@ -145,6 +157,7 @@ class ServoSimulator:
         else:
             plays = np.flatnonzero(drive["play"]).tolist()
             spec = servo_spec(self.robot, drive["zero"], drive["sign"], plays)
+            drive.tilt.edit_spec(spec, self.robot.joints)
             lay_ground(spec, self.robot)
         model = spec.compile()
         model.opt.timestep = step
@@ -154,7 +167,7 @@ class ServoSimulator:
         self, model: Any, drive: Drive | None, stretch: Stretch, first: Array
     ) -> Array:
         """Time, positions, speeds, and bends of the bristles if there are any."""
-        own, behind = places(plays := _plays(drive, len(stretch.v)))
+        own, behind = places(plays := (drive or self._declared).plays)
         q, v, bent = np.zeros(model.nq), np.zeros(model.nv), np.zeros(0)
         q[own], v[own] = stretch.q[0], stretch.v
         if drive is not None:
@@ -169,15 +182,12 @@ class ServoSimulator:
         return np.concatenate([np.zeros(1), q, v, bent])
 
 
-def _plays(drive: Drive | None, n: int) -> NDArray[np.bool_]:
-    return np.zeros(n, dtype=bool) if drive is None else np.asarray(drive["play"] > 0)
-
-
 def _turned(drive: Drive | None) -> bytes:
     """The parameters that need another compiled model."""
     if drive is None:
         return b""
-    turned = np.r_[drive["zero"], drive["sign"], drive["play"] > 0]
+    tilt = drive["roll"][0], drive["pitch"][0]
+    turned = np.r_[drive["zero"], drive["sign"], drive["play"] > 0, tilt]
     return bytes(turned.tobytes())
 
 
@@ -194,8 +204,7 @@ def rolled(runs: Sequence[Run]) -> Array:
     out = np.empty((len(runs), steps, n))
     kinds: dict[tuple[bool, bytes], list[int]] = {}
     for k, x in enumerate(runs):
-        stepped = bool(x.dead.any() or x.plays.any())
-        kinds.setdefault((stepped, x.plays.tobytes()), []).append(k)
+        kinds.setdefault((x.stepped, x.drive.plays.tobytes()), []).append(k)
     with _quiet():  # some servos are unstable
         for (stepped, _), own in kinds.items():
             some = [runs[k] for k in own]
@@ -214,9 +223,10 @@ def rolled(runs: Sequence[Run]) -> Array:
 
 
 def _stepped(runs: Sequence[Run], data: list[Any], control: Array) -> Array:
-    """Replay servos that MuJoCo lacks, whose goals move at each step.
+    """Replay servos that MuJoCo lacks; their goals or friction change at each step.
 
-    They have a dead band, or read the position of the link behind the play of a gear.
+    They have a dead band, read the position of the link behind the play of a gear, or
+    have dry friction that grows with the load.
 
     Args:
         runs: Replays of models with the same joints.
@@ -228,23 +238,77 @@ def _stepped(runs: Sequence[Run], data: list[Any], control: Array) -> Array:
     """
     from mujoco import rollout
 
-    state, dead = np.array([x.state for x in runs]), np.array([x.dead for x in runs])
-    after, plays = np.empty((len(runs), 1, state.shape[1])), runs[0].plays
+    drives, state = [x.drive for x in runs], np.array([x.state for x in runs])
+    dead = np.array([x["dead_band"] for x in drives])
+    levels = _FrictionLevels(runs)
+    after, plays = np.empty((len(runs), 1, state.shape[1])), drives[0].plays
     own, behind = (1 + x for x in places(plays))
-    out, models = np.empty_like(control), [x.model for x in runs]
-    motor, gap = state[:, own], np.zeros_like(dead)
-    gap[:, plays] = state[:, behind]
+    out, gap = np.empty_like(control), np.zeros_like(dead)
     with rollout.Rollout(nthread=len(data)) as roll:
         for k in range(control.shape[1]):
+            motor, gap[:, plays] = state[:, own], state[:, behind]
             off = control[:, k] - motor - gap
-            goal = (control[:, k] - gap - np.clip(off, -dead, dead))[:, None]
+            off -= np.clip(off, -dead, dead)
+            levels.set(off, state)
+            goal = (motor + off)[:, None]
             roll.rollout(
-                models, data, state, goal, nstep=1, state=after, skip_checks=True
+                levels.models, data, state, goal, nstep=1, state=after, skip_checks=True
             )
             state = after[:, 0].copy()
-            motor, gap[:, plays] = state[:, own], state[:, behind]
-            out[:, k] = motor + gap
+            out[:, k] = state[:, own]
+            out[:, k, plays] += state[:, behind]
     return out
+
+
+class _FrictionLevels:
+    """Dry friction of some replays, which may change at each step.
+
+    Args:
+        runs: Replays of models with the same joints.
+    """
+
+    def __init__(self, runs: Sequence[Run]) -> None:
+        drives = [x.drive for x in runs]
+
+        def of(name: str) -> Array:
+            return np.array([x[name] for x in drives])
+
+        self._load, self._coulomb = of("load"), of("coulomb")
+        self._stiction = of("stiction")
+        self._stiffness, self._stall = of("stiffness"), of("stall")
+        self._presliding = of("presliding")
+        self._bristle = self._coulomb / self._presliding
+        # Replays share models, but not these.
+        self._moving = {
+            k: copy.copy(x.model) for k, x in enumerate(runs) if x.drive["load"].any()
+        }
+        self.models = [self._moving.get(k, x.model) for k, x in enumerate(runs)]
+        first, n = self.models[0], len(drives[0].stall)
+        own, _ = places(drives[0].plays)
+        self._of_servo = np.array([m.actuator_gainprm[:, 6] for m in self.models])
+        self._of_joint = np.array([m.dof_damping[own] for m in self.models])
+        self._speed = 1 + first.nq + own
+        self._bent = slice(1 + first.nq + first.nv, 1 + first.nq + first.nv + n)
+
+    def set(self, off: Array, state: Array) -> None:
+        """Set the friction of the next step.
+
+        Args:
+            off: Goals less positions, as the servos see them, (batch, n), [rad].
+            state: Times, positions, speeds and bends, shape (batch, ·).
+        """
+        if not self._moving:
+            return
+        v, friction = state[:, self._speed], self._bristle * state[:, self._bent]
+        torque = self._stiffness * off - self._of_servo * v
+        torque = np.clip(torque, -self._stall, self._stall) - self._of_joint * v
+        load = np.abs(torque - friction)
+        level = self._coulomb + self._load * load
+        self._bristle = level / self._presliding
+        both = np.stack([level, level + self._stiction], axis=2)
+        for model, k in zip(self._moving.values(), self._moving, strict=True):
+            model.actuator_biasprm[:, 3:5] = both[k]
+            model.actuator_dynprm[:, 5] = self._bristle[k]
 
 
 @contextmanager

@@ -44,7 +44,7 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     """Write the robot's MJCF file again with other servos; of a URDF, an MJCF skeleton.
 
     The attributes of the joints and their actuators change, every other byte stays.
-    MJCF cannot express a dead band or a limit of the goal's speed.
+    MJCF cannot express what :class:`DriveQuantity` calls unsaid.
 
     Args:
         robot: An arm read from a file.
@@ -56,9 +56,10 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     """
     own = Path(robot.path).suffix.lower() != ".urdf"
     document = Document.load(robot.path) if own else _skeleton(robot)
-    if (drive["mass"] != 1.0).any():
+    if drive["roll"][0] or drive["pitch"][0] or (drive["mass"] != 1.0).any():
         inertial = robot.chain.inertial * drive["mass"][:, None]
-        chain = replace(robot.chain, inertial=inertial)
+        gravity = drive.tilt.turned(robot.chain.gravity)
+        chain = replace(robot.chain, inertial=inertial, gravity=gravity)
         edit_mjcf(document, Edit(replace(robot, chain=chain)), robot)
     _set_servos(document, robot, drive)
     with atomic_path(path) as temporary:
@@ -81,13 +82,14 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
     parameters, joint_damping = motors(robot, drive), dampings(robot, drive)[1]
     limits, file = stops(drive), Drive.declared(robot)
     declared = np.stack([file["lower"], file["upper"]])
+    curves = drive["quadratic"], robot.cubic
     for j, name in enumerate(robot.joints):
         joint = joint_tag(document, name)
         turn = turn_unit(document, not robot.chain.revolute[j])
         # `ref` is the angle in the pose that the file draws: the zero of the log.
         reference = float(joint.attributes.get("ref", "0"))
         given = {
-            "damping": joint_damping[j],
+            "damping": _damping(joint_damping[j], *(x[j] for x in curves)),
             "frictionloss": 0.0,
             "armature": drive["armature"][j],
             "stiffness": stiffness[j],
@@ -114,6 +116,11 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             document.insert_child(sections[0], text)
         else:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
+
+
+def _damping(linear: float, quadratic: float, cubic: float) -> float | list[float]:
+    """Damping of MJCF: one number, or the coefficients of a polynomial."""
+    return [linear, quadratic, cubic] if quadratic or cubic else linear
 
 
 def _delay(delay: float, step: float) -> dict[str, Any]:
