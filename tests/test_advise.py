@@ -157,7 +157,7 @@ def test_what_is_told_is_what_a_search_on_all_data_would_find(white):
         old[rows] = True
     both = Gap(
         gap.robot, (*gap.motions, *ahead.motions), (*gap.bodies, *ahead.bodies),
-        gap.cutoff, np.concatenate([gap.left, new]),
+        gap.cutoff, gap.period, np.concatenate([gap.left, new]),
         np.concatenate([gap.moving, ahead.moving]),
         np.concatenate([gap.fold, ahead.fold]),
         np.concatenate([gap.trajectory, ahead.trajectory + gap.trajectory.max() + 1]),

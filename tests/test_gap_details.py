@@ -461,3 +461,29 @@ def test_bins_that_hold_too_few_are_put_to_the_next():
     np.testing.assert_array_equal(_merged_edges(edges, x, 5), [0.0, 1.0, 4.0])
     np.testing.assert_array_equal(_merged_edges(edges, x, 1), edges)
     np.testing.assert_array_equal(_merged_edges(edges, x, 100), [0.0, 4.0])
+
+
+def fast_log(rate=2000.0) -> Recording:
+    """A pendulum with dry friction, logged fast."""
+    t = np.arange(0.0, 10.0, 1 / rate)
+    q = np.sin(2 * t)[:, None] + 0.3 * np.sin(5 * t)[:, None]
+    v = np.gradient(q, t, axis=0)
+    tau = 3.0 * np.tanh(v / 1e-2) + np.random.default_rng(0).normal(0, 0.1, q.shape)
+    return Recording(t, q, tau, joints=pendulum().joints)
+
+
+def test_a_fast_log_has_the_gap_of_all_its_samples(monkeypatch):
+    robot, log = pendulum(), fast_log()
+    few = measure_gap(robot, [log], cutoff=CUTOFF)
+    monkeypatch.setattr(
+        "hybrid.diagnosis.gap.measure.decimated_motion", lambda motion, cutoff: motion
+    )
+    every = measure_gap(robot, [log], cutoff=CUTOFF)
+    assert few.motions[0].rate <= 25 * CUTOFF < every.motions[0].rate
+    assert few.period == every.period == pytest.approx(1 / 2000)
+    friction = []
+    for gap in (few, every):
+        column, use = gap.columns(Coulomb((0,)))[0][:, 0], gap.moving[:, 0]
+        friction.append(column[use] @ gap.left[use, 0] / (column[use] @ column[use]))
+        friction.append(np.sqrt(np.mean(gap.left[use] ** 2)))
+    np.testing.assert_allclose(friction[:2], friction[2:], rtol=0.01)

@@ -80,7 +80,7 @@ def advise(
     Returns:
         Advice; none if everything is explained and distinguished.
     """
-    rate = min(_RATE, result.gap.motions[0].rate)
+    rate = min(_RATE, 1.0 / result.gap.period)
     menu = Menu(result.gap.robot, rng, rate=rate)
     between = _between(result, Discriminations(result, menu))
     plans = [

@@ -278,7 +278,8 @@ def gap_along(gap: Gap, experiment: Experiment) -> Gap:
     moving = np.abs(v) > STANDING * np.abs(gap.sampled.v).max(axis=0)
     moving &= sampler.keep(mask)[:, None]
     zero, left = np.zeros(len(v), dtype=np.intp), np.zeros_like(v)
-    return Gap(robot, (motion,), (body,), cutoff, left, moving, zero, zero)
+    period = 1.0 / motion.rate
+    return Gap(robot, (motion,), (body,), cutoff, period, left, moving, zero, zero)
 
 
 def concatenated(references: Sequence[Reference]) -> Reference:

@@ -162,7 +162,7 @@ def _fitted_servo(
     fits = {(True, True): whole, (False, True): fit_without_latency(train, free, whole)}
     found: list[type[Effect]] = []
     # A log may be late by a period.
-    least = max(_CONTROL_PERIOD, 1.0 / gap.motions[0].rate)
+    least = max(_CONTROL_PERIOD, gap.period)
     late = whole.latency - NORMAL * whole.latency_std > least
     if late and _better(train, held_out, fit(train, free, immediate=True), whole):
         found.append(CommandLatency)

@@ -140,10 +140,10 @@ def find_convention(
     gap = measured(recordings)
     if not gap.moving.any():
         return Convention()
-    steps = sorted(x for x in {1.0 / gap.motions[0].rate, robot.timestep} if x > 0)
+    steps = sorted(x for x in {gap.period, robot.timestep} if x > 0)
     evidence = _TimeEvidence(gap)
     # The log does not tell when torque was read within a sample.
-    least = 1.0 / gap.motions[0].rate if clocks else _LATEST
+    least = gap.period if clocks else _LATEST
     delays, damped = evidence.most_probable(steps, least)
     late, step = delays.common, damped.common
     if not (late or step) or not evidence.is_cross_validated():

@@ -114,9 +114,8 @@ def _profile_range(
 def _model_variance(gap: Gap, effect: Effect) -> Array:
     """Variance of values by errors of the law, and of times by sampling, shape (p,)."""
     law = [effect.inexact.get(x, 0.0) * effect.values[x] for x in _names(effect)]
-    step = 1.0 / gap.motions[0].rate
     shapes = [x for x in effect.shapes if not x.whole]
-    times = [step**2 / 12.0 if x.unit == "s" else 0.0 for x in shapes]
+    times = [gap.period**2 / 12.0 if x.unit == "s" else 0.0 for x in shapes]
     return np.asarray(np.square(law) + np.pad(times, (len(effect.gains), 0)))
 
 

@@ -84,7 +84,7 @@ def sampling_delays(gap: Gap) -> tuple[list[Columns], list[Array]]:
         A block of one column for each joint, and the standard deviation of its gain.
     """
     joints = range(gap.robot.size)
-    size = 1.0 / gap.motions[0].rate / np.sqrt(12.0)
+    size = gap.period / np.sqrt(12.0)
     blocks = [gap.columns(Delay((j,))) for j in joints]
     return blocks, [np.array([size])] * len(joints)
 

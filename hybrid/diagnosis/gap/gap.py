@@ -35,10 +35,12 @@ class Gap:
 
     Attributes:
         robot: The simulator that is diagnosed.
-        motions: Motions at full rate with the simulated torque. Columns made from the
-            measured torque would explain its noise.
+        motions: Motions with the simulated torque, of about twelve samples in a period
+            of the cut-off or the rate of the log. Columns made from the measured torque
+            would explain its noise.
         bodies: The simulator's rigid body along each motion.
         cutoff: Cut-off of the low-pass filter, [Hz].
+        period: Time between two samples of the logs, [s].
         left: The gap, shape (M, n), [N·m].
         moving: Whether a sample is used: the joint moves and the mask allows it,
             shape (M, n).
@@ -54,6 +56,7 @@ class Gap:
     motions: tuple[Motion, ...]
     bodies: tuple[RigidBody, ...]
     cutoff: float
+    period: float
     left: Array
     moving: NDArray[np.bool_]
     fold: NDArray[np.intp]

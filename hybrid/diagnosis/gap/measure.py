@@ -14,7 +14,7 @@ from hybrid.diagnosis.gap.faults import Faults, find_faults
 from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.errors import RecordingError
-from hybrid.identification.preparation import motions_from_logs
+from hybrid.identification.preparation import decimated_motion, motions_from_logs
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
@@ -59,10 +59,11 @@ def measure_gap(
     motions, cutoff = motions_from_logs(recordings, cutoff)
     cutoff = min(cutoff, *(m.rate / 2 for m in motions))  # no filter lets through more
     motions = [correct(m) for m in motions] if correct else motions
+    period = 1.0 / motions[0].rate
     _check_torque(motions)
     faults = [_faults(x, m, cutoff) for x, m in zip(recordings, motions, strict=True)]
     motions = [
-        replace(m, mask=m.mask & ~f.posture)
+        decimated_motion(replace(m, mask=m.mask & ~f.posture), cutoff)
         for m, f in zip(motions, faults, strict=True)
     ]
     speeds = [np.abs(m.v[m.mask]) for m in motions if m.mask.any()]
@@ -77,13 +78,15 @@ def measure_gap(
         asked = _asked(motion, tau, cutoff)
         simulated.append(replace(motion, tau=tau, asked=asked, number=r))
         usable = sampler.keep(motion.mask)[:, None]
-        usable = usable & ~faults[r].torque[:: sampler.factor]
+        # The filter reaches farther than from one kept sample to the next.
+        every = -(-len(faults[r].torque) // len(usable))
+        usable = usable & ~faults[r].torque[::every]
         moving.append(usable & ~_standing(robot, motion, slowest, cutoff))
     fold, trajectory = _folds(motions, cutoff)
     used = np.concatenate(moving)
     used &= used.mean(axis=0) > _FEWEST_MOVING
     return Gap(
-        robot, tuple(simulated), bodies, cutoff,
+        robot, tuple(simulated), bodies, cutoff, period,
         np.concatenate(left), used, fold, trajectory,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip

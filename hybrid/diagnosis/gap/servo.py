@@ -151,7 +151,7 @@ def servo_logs(
             since = gap.sampled.t[here] - gap.motions[k].t[0]
             rows.append((here, clock - part[0][0] + since, since > _LATEST))
             parts.append((clock - part[0][0] + part[0], *part[1:]))
-            clock = parts[-1][0][-1] + 1 / gap.motions[k].rate
+            clock = parts[-1][0][-1] + gap.period
     if not parts:
         return [None] * gap.robot.size
     t, asked, torque, own = map(np.concatenate, zip(*parts, strict=True))
@@ -188,11 +188,12 @@ def _signals(
     still = replace(motion, v=0 * motion.v, a=0 * motion.a)
     weight = RigidBody(chain, still).load
     asked = np.stack([feed, wanted.q, wanted.v], axis=1)
-    held = int(np.ceil((_LATEST + MOST_SHIFT) * motion.rate)) + 1
-    t = np.arange(-held, len(motion.t) + held) / motion.rate
+    rate = wanted.rate
+    held = int(np.ceil((_LATEST + MOST_SHIFT) * rate)) + 1
+    t = np.arange(-held, len(wanted.t) + held) / rate
 
     def padded(x: Array) -> Array:
-        x = butterworth(x, rate=motion.rate, cutoff=gap.cutoff)
+        x = butterworth(x, rate=rate, cutoff=gap.cutoff)
         return np.pad(x, ((held, held), *[(0, 0)] * (x.ndim - 1)), mode="edge")
 
     own = gap.samplers[k](np.stack([weight, motion.q, motion.v, motion.a], axis=1))
