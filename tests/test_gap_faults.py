@@ -9,6 +9,7 @@ from hybrid.diagnosis.gap.faults import (
     _leaps,
     _moving,
     _runs,
+    _usual_run,
     find_faults,
 )
 from hybrid.recording import Recording
@@ -70,8 +71,8 @@ def test_no_jump_is_near_a_reversal():
 
 @pytest.mark.parametrize(("speed", "rare"), [(0.046, False), (0.055, True)])
 def test_a_joint_is_under_way_above_a_twentieth_of_its_highest_speed(speed, rare):
-    v = np.full(399, speed)
-    v[:50] = 1.0
+    v = np.full(399, 2.0 * speed)
+    v[:50] = 2.0
     assert bool(leaps(stair(10.0, at=300), v=v)) == rare
 
 
@@ -136,6 +137,30 @@ def test_what_stays_from_the_first_sample_on_was_not_stopped():
         assert np.flatnonzero(_frozen(x, 10)).tolist() == list(range(40 * frozen))
     end = paused(260, 300)
     assert np.flatnonzero(_frozen(end, 10)).tolist() == list(range(260, 300))
+
+
+def test_an_encoder_may_jump_to_where_it_stays():
+    x = paused(100, 130)
+    x[100:] += 6.0
+    assert np.flatnonzero(_frozen(x, 10)).tolist() == list(range(100, 131))
+    early = np.append(x[0] - 6.0, np.append(np.full(20, x[0]), x[0] + np.arange(200)))
+    assert np.flatnonzero(_frozen(early, 10)).tolist() == list(range(1, 22))
+    # What happens at the end of a log does not matter to its begin.
+    late = paused(0, 40, jump=1.0)
+    late[-1] += 50.0
+    assert not _frozen(late, 10).any()
+
+
+def test_only_the_last_five_steps_say_that_it_stopped_suddenly():
+    for slow, frozen in ((94, True), (95, False)):
+        steps = np.ones(300)
+        steps[slow], steps[101:130] = 0.0, 0.0
+        assert _frozen(np.cumsum(steps), 10).any() == frozen
+
+
+def test_a_usual_run_is_the_third_longest_of_three_or_more():
+    assert _usual_run(np.repeat([0, 1, 2, 3], [4, 6, 5, 1])) == 12
+    assert _usual_run(np.repeat([0, 1, 2], [4, 6, 5])) == 0
 
 
 def held(top, *, length=3, count=1000, low=0.5):

@@ -12,7 +12,13 @@ from pendulum import RATE, gap_of, pendulum, swings, with_torque
 from hybrid.diagnosis.gap.background import background, dry_friction, soft_friction
 from hybrid.diagnosis.gap.coverage import not_excited
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.measure import _asked, _folds, _standing, measure_gap
+from hybrid.diagnosis.gap.measure import (
+    _asked,
+    _folds,
+    _standing,
+    block_seconds,
+    measure_gap,
+)
 from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.diagnosis.gap.units import unit_at, units
 from hybrid.diagnosis.gap.usability import too_little_motion, wrong_simulator
@@ -175,9 +181,7 @@ def test_a_joint_that_moves_for_less_than_a_twentieth_is_left_out(share, used):
     stands = np.ones((len(m.t), 2))
     stands[round(share * len(m.t)) :, 1] = 0.0
     v = 1.0 + 0 * m.v
-    gap = measure_gap(
-        pendulum(2), [replace(m, v=v * stands)], cutoff=50.0
-    )
+    gap = measure_gap(pendulum(2), [replace(m, v=v * stands)], cutoff=50.0)
     assert gap.moving[:, 0].all() and gap.moving[:, 1].any() == used
     assert gap.moving[:, 1].mean() == pytest.approx(share * used, abs=2e-3)
 
@@ -245,9 +249,10 @@ def parted(count, folds, *, far=None, samples=10, joints=1):
     rows = count * folds * samples
     trajectory = np.repeat(np.arange(count), folds * samples)
     fold = np.tile(np.repeat(np.arange(folds), samples), count)
+    fold = trajectory if count >= 4 else fold
     left = np.ones((rows, joints))
     for k, f, size in far or ():
-        left[(trajectory == k) & (fold == f)] = size
+        left[(trajectory == k) & (fold == (k if count >= 4 else f))] = size
     return SimpleNamespace(
         trajectory=trajectory, fold=fold, left=left, moving=np.ones_like(left) > 0,
         motions=[motion(folds * 3.0)], rate=2.0 * samples / 6.0,
@@ -258,7 +263,7 @@ def held_out(gap):
     """Pairs of trajectory and fold that are for testing."""
     test = ~split(gap)
     pairs = zip(gap.trajectory[test].tolist(), gap.fold[test].tolist(), strict=True)
-    return sorted(set(pairs))
+    return sorted((k, 0 if gap.trajectory.max() >= 3 else f) for k, f in set(pairs))
 
 
 def test_every_fourth_recording_or_every_fourth_block_is_for_testing():
@@ -276,7 +281,17 @@ def test_another_split_is_taken_where_the_test_alone_is_ten_times_as_large(size,
     assert (held_out(parted(5, 1, far=[(3, 0, size)])) == [(3, 0)]) != moves
     assert held_out(parted(4, 1, far=[(3, 0, 9.0)])) == [(2, 0)]
     assert held_out(parted(4, 1, far=[(3, 0, 30.0), (2, 0, 9.0)])) == [(1, 0)]
-    assert held_out(parted(1, 4, far=[(0, 3, 9.0)])) != [(0, 3)]
+    far = [(k, 0, x) for k, x in ((3, 200.0), (2, 30.0), (1, 9.0))]
+    assert held_out(parted(4, 1, far=far)) == [(0, 0)]
+    # Of blocks the ones before, then those two before.
+    assert held_out(parted(1, 4, far=[(0, 3, 9.0)])) == [(0, 2)]
+    far = [(0, f, x) for f, x in ((3, 400.0), (2, 90.0), (1, 20.0))]
+    assert held_out(parted(1, 4, far=far)) == [(0, 0)]
+    assert held_out(parted(1, 4, far=[(0, 3, 90.0), (0, 2, 30.0)])) == [(0, 1)]
+    assert held_out(parted(2, 4, far=[(0, 3, 9.0)])) == [(0, 3 - 1), (1, 1)]
+    # Where one recording has to be split in other ways than the others.
+    far = [(k, f, 9.0) for k, f in ((0, 3), (0, 2), (0, 1), (0, 0))]
+    assert held_out(parted(2, 4, far=far)) == [(0, 3), (1, 2)]
     # Where training samples are as unusual, the first one stays.
     assert held_out(parted(5, 1, far=[(3, 0, 9.0), (0, 0, 9.0)])) == [(3, 0)]
 
@@ -291,6 +306,31 @@ def test_one_unusual_joint_decides_and_what_stands_does_not():
     assert held_out(gap) == [(3, 0)]
 
 
+def test_what_is_unusual_is_by_sample_that_moves():
+    """A part in which a joint moves for a tenth of the time has a tenth of squares."""
+    gap = parted(5, 1, samples=100)
+    at = np.flatnonzero(gap.trajectory == 3)
+    gap.moving[at[10:]] = False
+    gap.left[at[:10]] = 3.1
+    assert held_out(gap) == [(3, 0)]
+    gap.left[at[:10]] = 3.2
+    assert held_out(gap) == [(2, 0)]
+
+
+def test_blocks_of_three_recordings_lose_their_ends_and_four_are_whole():
+    for count, whole in ((3, False), (4, True)):
+        gap = parted(count, 4, samples=60)
+        gap.rate = 20.0
+        learn = split(gap)
+        assert np.array_equal(unseen_samples(gap, learn), ~learn) == whole
+
+
+def test_a_block_is_no_shorter_than_half_a_second_and_no_longer_than_three():
+    for seconds, block in ((2.0, 0.5), (4.0, 0.5), (8.0, 1.0), (24.0, 3.0), (80, 3.0)):
+        assert block_seconds([motion(seconds)]) == pytest.approx(block)
+        assert block_seconds([motion(seconds / 2)] * 2) == pytest.approx(block)
+
+
 def test_test_blocks_lose_a_sixth_at_both_ends():
     """Of three seconds half a second, and of whole recordings nothing."""
     gap = parted(1, 8, samples=60)
@@ -300,9 +340,7 @@ def test_test_blocks_lose_a_sixth_at_both_ends():
     assert np.flatnonzero(~learn).tolist() == [*range(180, 240), *range(420, 480)]
     assert np.flatnonzero(unseen).tolist() == [*range(190, 230), *range(430, 480)]
     whole = parted(4, 1)
-    np.testing.assert_array_equal(
-        unseen_samples(whole, split(whole)), ~split(whole)
-    )
+    np.testing.assert_array_equal(unseen_samples(whole, split(whole)), ~split(whole))
 
 
 # --- what is not covered --------------------------------------------------------------
@@ -345,9 +383,29 @@ def test_slow_motion_is_below_a_fifth_of_the_highest_speed(slowest, samples, sho
 
 
 def test_slow_motion_is_asked_for_in_round_speeds():
-    for fastest, word in ((0.04, "0.02"), (0.9, "0.5"), (9.0, "2")):
-        (found,) = [x for x in said(v=both_ways((200, fastest))) if "below" in x]
-        assert found == f"hinge_0 below {word} rad/s"
+    for word in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0):
+        v = both_ways((200, 1.2 * word))
+        (found,) = [x for x in said(v=v) if "below" in x]
+        assert found == f"hinge_0 below {word:g} rad/s"
+
+
+def test_what_matters_most_of_all_joints_comes_first():
+    """The first joint lacks range, the second one speed, the third one turns."""
+    fast = both_ways((300, 1.0), (30, 0.1), SLOW)
+    up = np.abs(fast)
+    v = np.stack([fast, fast, up, 0 * fast], axis=1)
+    q = np.stack([0.5 * np.sin(np.arange(len(fast)))] * 3 + [0 * fast], axis=1)
+    robot = replace(
+        pendulum(4), q_min=np.array([-2.0, -np.inf, -np.inf, -1.0]),
+        q_max=np.array([2.0, np.inf, np.inf, 1.0]),
+        v_max=np.array([np.inf, 5.0, np.inf, 1.0]),
+    )  # fmt: skip
+    sampled = SimpleNamespace(q=q, v=v, mask=np.ones(len(v), dtype=bool))
+    gap = SimpleNamespace(robot=robot, sampled=sampled, rate=100.0)
+    assert [x.partition(" rad")[0] for x in not_excited(gap)] == [
+        "hinge_3 does not move", "hinge_2 moving down", "reversals of hinge_2",
+        "hinge_1 above 1", "hinge_0 beyond -0.5 to 0.5",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("turns", "shown"), [(2, False), (3, True)])
@@ -387,9 +445,7 @@ def test_a_link_moves_the_joints_before_it_and_its_own():
     assert [sorted(x) for x in blocks[:3]] == [[0], [0, 1], [0, 1, 2]]
     links = pendulum(3).chain.inertial
     for i in range(3):
-        torque = sum(
-            blocks[k][i] @ links[k] for k in range(3) if i in blocks[k]
-        )
+        torque = sum(blocks[k][i] @ links[k] for k in range(3) if i in blocks[k])
         exact = [s(b.load[:, i]) for _, b, s in gap]
         np.testing.assert_allclose(torque, np.concatenate(exact), atol=1e-9)
     assert all(len(x) == 10 for x in sizes[:3]) and len(sizes) == len(blocks) == 6
@@ -403,7 +459,9 @@ def test_dry_friction_is_told_from_drag_rotor_and_offset():
         gap = measure_gap(pendulum(), logs, cutoff=CUTOFF)
         assert dry_friction(gap) == pytest.approx([found], abs=2e-3)
         rubs = replace(pendulum(), frictionloss=np.array([0.3]))
-        assert dry_friction(replace(gap, robot=rubs)) == pytest.approx([0.3 + found], abs=2e-3)
+        assert dry_friction(replace(gap, robot=rubs)) == pytest.approx(
+            [0.3 + found], abs=2e-3
+        )
 
 
 def test_soft_friction_reverses_early_by_its_lead():
