@@ -287,7 +287,7 @@ def test_another_split_is_taken_where_the_test_alone_is_ten_times_as_large(size,
     assert held_out(parted(1, 4, far=[(0, 3, 9.0)])) == [(0, 2)]
     far = [(0, f, x) for f, x in ((3, 400.0), (2, 90.0), (1, 20.0))]
     assert held_out(parted(1, 4, far=far)) == [(0, 0)]
-    assert held_out(parted(1, 4, far=[(0, 3, 90.0), (0, 2, 30.0)])) == [(0, 1)]
+    assert held_out(parted(1, 4, far=[(0, 3, 400.0), (0, 2, 90.0)])) == [(0, 1)]
     assert held_out(parted(2, 4, far=[(0, 3, 9.0)])) == [(0, 3 - 1), (1, 1)]
     # Where one recording has to be split in other ways than the others.
     far = [(k, f, 9.0) for k, f in ((0, 3), (0, 2), (0, 1), (0, 0))]
