@@ -912,3 +912,132 @@ def test_a_region_is_written_with_its_range():
     assert "horizon_s" not in finding["shrink"]["torque"]
     assert finding["shrink"]["motion"]["horizon_s"] == 0.5
     assert swings(count=1)[0].q.shape[1] == 1 and TorqueOffset.id == "torque_offset"
+
+
+# --- more of servos and files ---------------------------------------------------------
+
+
+def test_two_effects_of_a_servo_share_by_what_each_adds_alone_and_last():
+    own = servo(none=9.0, late=5.0, free=4.0, whole=1.0)
+    late, gains = own.share(CommandLatency), own.share(ControllerGain)
+    assert late == pytest.approx(5 * ((16.0 - 1.0) + (81.0 - 25.0)) / 2)
+    assert gains == pytest.approx(5 * ((25.0 - 1.0) + (81.0 - 16.0)) / 2)
+    alone = servo(late=5.0, free=4.0, whole=1.0)
+    assert alone.share(ControllerGain) == pytest.approx(5 * 24.0)
+    assert alone.share(CommandLatency) == 0.0
+
+
+@pytest.mark.parametrize("scale", [False, True])
+def test_a_finding_of_servos_is_of_their_joints_and_held_out_samples(scale):
+    gap = gap_of(size=2, count=1)
+    first, second = (
+        replace(
+            servo(j, none=9.0, late=5.0, free=4.0, whole=2.0),
+            effects=(
+                CommandLatency((j,), {"time": 0.01}, {"time": 0.001}),
+                ControllerGain((j,), {"stiffness": -0.2, "damping": 0.1}),
+            ),
+        )
+        for j in (0, 1)
+    )
+    servos = [first, replace(second, scale=scale)]
+    found = command._finding(gap, servos, ControllerGain, 1000.0, rng())
+    assert found.joints == ("hinge_0", "hinge_1")
+    alike = ("controller_gain", "torque_gain") if scale else ("controller_gain",)
+    assert found.alternatives == alike
+    assert [v.value for v in found.parameters] == [-0.2, 0.1, -0.2, 0.1]
+    assert found.share == pytest.approx(2 * first.share(ControllerGain) / 1000.0)
+    fall = found.shrink["torque"]
+    assert (fall.before, fall.after, fall.unit) == (5.0, 2.0, "N·m")
+    late = command._finding(gap, servos, CommandLatency, 1000.0, rng())
+    assert late.alternatives == ("command_latency",)
+    assert late.shrink["torque"].before == 4.0
+
+
+def test_a_time_without_end_is_searched_around_its_value():
+    from hybrid.diagnosis.evidence.shapes import _near
+    from hybrid.effects.effect import Quantity
+
+    clock = Quantity("start", "s", 1.0, 0.0, 1e9)
+    assert (_near(clock, 5.0).lower, _near(clock, 5.0).upper) == (4.0, 6.0)
+    assert (_near(clock, 0.4).lower, _near(clock, 0.4).upper) == (0.0, 1.4)
+    plain = Quantity("x", "s", 1.0, 0.0, 1e4)
+    assert _near(plain, 5.0) is plain
+
+
+def test_links_that_cannot_exist_become_the_nearest_ones_that_can():
+    """By the torque of the motions: what these do not feel may change freely."""
+    from hybrid.diagnosis.evidence.evidence import Evidence
+    from hybrid.diagnosis.gap.background import background
+    from hybrid.dynamics.pseudo_inertia import is_consistent
+
+    gap = gap_of(size=2, count=2)
+    evidence = Evidence(gap)
+    columns, sizes = background(gap)
+    blocks = evidence.add(columns[:2], sizes[:2])
+    evidence.noise[:] = 1e-4
+    index = np.concatenate(blocks)
+    x = SimpleNamespace(gap=gap, evidence=evidence, index=index, rigid=index)
+    fine, _ = corrected(x, (), np.zeros(22))
+    np.testing.assert_array_equal(fine.chain.inertial, pendulum(2).chain.inertial)
+    errors = np.zeros(22)
+    errors[4] = errors[9] = -0.3  # moments about x and z that are below zero
+    assert not is_consistent(pendulum(2).chain.inertial + errors[:20].reshape(2, 10))[0]
+    found, _ = corrected(x, (), errors)
+    links = found.chain.inertial
+    assert is_consistent(links).all()
+    # No motion turns a link of this arm about x or z: torque hardly changes.
+    change = (links - pendulum(2).chain.inertial).ravel()
+    felt = np.concatenate(
+        [sum(columns[k][i] @ change[10 * k : 10 * k + 10] for k in range(2)
+             if i in columns[k]) for i in range(2)]
+    )  # fmt: skip
+    assert np.sqrt(np.mean(felt**2)) < 0.05 * np.sqrt(np.mean(gap.measured**2))
+
+
+def test_replays_of_the_same_terms_are_simulated_once(monkeypatch):
+    from hybrid.diagnosis.answer import replay
+
+    made = object.__new__(replay.Replay)
+    made.scored, made.effects, made._errors = None, ("a", "b"), {}
+    ran = []
+
+    def error(effects, step):
+        ran.append((tuple(effects), step))
+        diverges = step > 3e-4 and len(effects) == 2
+        return np.full((3, 1, 1), np.nan if diverges else 0.5)
+
+    monkeypatch.setattr(made, "_error", error)
+    assert made.all_terms == {0, 1} and made.step == 3e-4
+    assert ran == [(("a", "b"), 1e-3), (("a", "b"), 3e-4)]
+    assert made.squares([1]) == pytest.approx(np.array([[0.25]]))
+    assert made.squares([1, 0]) == pytest.approx(np.array([[0.25]]))
+    assert ran[2:] == [(("b",), 3e-4)]
+    made.squares([1], step=1e-4)
+    assert ran[3:] == [(("b",), 1e-4)]
+    assert made.squares_of(["c"]) == pytest.approx(np.array([[0.25]]))
+    assert ran[-1] == (("c",), 3e-4)
+    none = object.__new__(replay.Replay)
+    none.effects, none._errors = ("a", "b"), {}
+    monkeypatch.setattr(none, "_error", lambda *_: np.array([[[np.nan]]]))
+    assert none.step == 1e-3
+
+
+def test_windows_count_in_which_a_term_has_a_hundredth_of_the_most():
+    from hybrid.diagnosis.answer import replay
+    from hybrid.plant.rollout import Windows
+
+    rows = [np.arange(2, 14)]
+    torque = np.zeros(12)
+    torque[0:4], torque[4:8], torque[8:12] = 1.0, 0.11, 0.09  # samples 2 to 13
+    made = object.__new__(replay.Replay)
+    made.scored = SimpleNamespace(
+        gap=SimpleNamespace(fold=np.zeros(14)),
+        evidence=SimpleNamespace(rows=rows, noise=np.array([2.0])),
+        contribution=lambda k: [torque],
+    )
+    made._start = np.array([2])
+    made.windows = Windows(np.zeros(3, int), np.array([0, 4, 8]), 4)
+    assert made.windows_with([0]).tolist() == [0, 1]
+    torque[8:12] = 0.3
+    assert made.windows_with([0]).tolist() == [0, 1, 2]
