@@ -84,14 +84,14 @@ def test_a_payload_is_a_point_at_the_centre_of_the_last_link():
     """The centre stays, and about it nothing is added."""
     x, y, z = centre = np.array([0.1, -0.2, 0.3])
     about = np.diag([0.02, 0.03, 0.04])
-    own = about + 2.0 * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    own = about + 3.0 * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     six = own[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
     inertial = pendulum(2).chain.inertial.copy()
-    inertial[1] = [2.0, 2 * x, 2 * y, 2 * z, *six]
+    inertial[1] = [3.0, 3 * x, 3 * y, 3 * z, *six]
     heavy = with_payload(pendulum(2).with_inertial(inertial), 0.5).chain.inertial
     np.testing.assert_array_equal(heavy[0], inertial[0])
     mass, at, rest = central_inertia(heavy[1])
-    assert mass == 2.5
+    assert mass == 3.5
     np.testing.assert_allclose(at, centre)
     np.testing.assert_allclose(rest, about, atol=1e-12)
 

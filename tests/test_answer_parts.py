@@ -1041,3 +1041,26 @@ def test_windows_count_in_which_a_term_has_a_hundredth_of_the_most():
     assert made.windows_with([0]).tolist() == [0, 1]
     torque[8:12] = 0.3
     assert made.windows_with([0]).tolist() == [0, 1, 2]
+
+
+def test_the_limit_of_a_test_is_for_every_range_of_neighbouring_bins(monkeypatch):
+    from scipy.stats import norm
+
+    from hybrid.diagnosis.answer import regions
+
+    gap = gap_of(size=1, count=2, seconds=4.0)
+    made = []
+
+    class Told(_Test):
+        def exceeds(self, excess, samples):
+            made.append(self)
+            return False
+
+    monkeypatch.setattr(regions, "_Test", Told)
+    assert locate(gap, np.ones(1), rng()) == ()
+    (test,) = made
+    bins = [x.excess.shape[1] for x in _histograms(gap, np.ones(1))]
+    ranges = sum(k * (k + 1) // 2 for k in bins)
+    assert test.limit == pytest.approx(norm.isf(0.05 / ranges))
+    assert test.correlated == pytest.approx(gap.rate / 2 / gap.cutoff)
+    assert test.draws.shape == (1000, 8) and (test.draws.sum(axis=1) == 8).all()

@@ -39,6 +39,7 @@ from hybrid.diagnosis.evidence.noise_model import (
     _dimensions,
     _least_noise,
     _ridge,
+    estimate_noise,
 )
 from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.refine import (
@@ -450,6 +451,16 @@ def test_a_floor_is_the_mean_density_of_the_upper_half_of_the_band():
     assert floored(slow * [1.0, -1.0], 0.1)[0] == pytest.approx(1.0 + 1e-6, rel=0.5)
 
 
+def test_of_a_residual_without_noise_all_numbers_are_finite():
+    assert floored(np.zeros(3), 0.2)[0] > 0.0
+    gap = gap_of(count=2)
+    still = replace(gap, left=np.zeros_like(gap.left))
+    evidence = Evidence(still)
+    (index,) = evidence.add([gap.columns(Viscous((0,)))], [np.ones(1)])
+    estimate_noise(evidence, index)
+    assert np.isfinite(evidence.covariances[0]).all() and evidence.noise[0] > 0.0
+
+
 def test_an_event_is_eight_times_the_usual_power_of_half_a_second():
     row = np.arange(100)
     for times, kept in ((7.9, True), (8.1, False)):
@@ -553,6 +564,11 @@ def test_waves_that_the_filter_stops_are_no_orders():
     assert ripple_orders(left, q, v, 100.0, 2).tolist() == [30, 12]
     assert ripple_orders(left, q, v, 100.0, 1).tolist() == [30]
     assert ripple_orders(left, q, v, 14.0, 1).tolist() == [12]
+    weak = np.sin(30 * q) + 0.1 * np.sin(12 * q)
+    assert ripple_orders(weak, q, v, 100.0, 40).tolist()[0] == 30
+    # Beside a peak no order is one, however strong.
+    found = ripple_orders(np.sin(30.4 * q), q, v, 100.0, 5).tolist()
+    assert 30 in found and 31 not in found
 
 
 def test_a_convention_is_told_in_milliseconds():

@@ -24,6 +24,7 @@ from hybrid.diagnosis.explanations.belief import (
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.explanations.joint_laws import (
+    joint_laws,
     lagged_differences,
     low_passed,
     smooth_features,
@@ -800,3 +801,57 @@ def test_values_have_errors_of_their_law_and_times_of_a_sample():
         assert variance[k] == pytest.approx(own**2 + time)
     offset = TorqueOffset((0,), {"level": 1.0})
     assert _model_variance(gap, offset).shape == (1,)
+
+
+def test_laws_of_a_joint_are_of_each_signal_and_of_pairs_of_them():
+    gap = gap_of(size=2, count=2)
+    found = dict(joint_laws(gap, 1))
+    assert list(found) == [
+        "position", "speed", "acceleration", "load", "time", "direction and position",
+        "direction and load", "direction and acceleration", "speed and time",
+        "speed and position", "load and position", "speed of hinge_0",
+        "acceleration of hinge_0", "position of hinge_0", "past of speed",
+        "past of load", "past of direction", "past of side",
+    ]  # fmt: skip
+    m = gap.sampled
+    v, q = m.v[:, 1], m.q[:, 1]
+    root = np.sign(v) * np.sqrt(np.abs(v))
+    np.testing.assert_allclose(found["speed"], smooth_features(root, 28))
+    np.testing.assert_allclose(found["position"], smooth_features(q, 28))
+    np.testing.assert_allclose(found["time"], smooth_features(m.t, 28))
+    slow = low_passed(gap, m.a[:, 1], 3.0)
+    np.testing.assert_allclose(found["acceleration"], smooth_features(slow, 14))
+    turned = smooth_sign(v)[:, None] * smooth_features(q, 14)
+    expected = low_passed(gap, turned, 10.0)
+    np.testing.assert_allclose(found["direction and position"], expected)
+    aged = v[:, None] * smooth_features(m.t, 14)
+    np.testing.assert_allclose(found["speed and time"], aged)
+    one, other = smooth_features(q, 6), smooth_features(v, 6)
+    both = np.einsum("ti,tj->tij", one, other).reshape(len(q), -1)
+    np.testing.assert_allclose(found["speed and position"], both)
+    past = lagged_differences(gap, low_passed(gap, v, 3.0))
+    np.testing.assert_allclose(found["past of speed"], low_passed(gap, past, 10.0))
+    beside = smooth_features(m.v[:, 0], 14)
+    np.testing.assert_allclose(found["speed of hinge_0"], beside)
+
+
+def test_a_twist_is_of_the_link_s_angle_speed_and_acceleration():
+    """The torque of a link that is off by an angle, as the slopes say it."""
+    gap = gap_of(size=2, count=1)
+    found = dict(transmission_laws(gap, 1))["twist with position"]
+    x = low_passed(gap, smooth_features(gap.sampled.q[:, 1], 8), 5.0)
+    changes = x, _derivative(gap, x), _derivative(gap, _derivative(gap, x))
+    ((_, body, sampler),) = list(gap)
+    slopes = [s[:: sampler.factor] for s in body.slopes(1)]
+    for j in (0, 1):
+        torque = sum(s[:, j, None] * c for s, c in zip(slopes, changes, strict=True))
+        np.testing.assert_allclose(found[j], torque)
+    load = low_passed(gap, gap.load[:, 1], 5.0)
+    side = np.tanh(load / np.sqrt(np.mean(load**2)))
+    y = np.hstack([
+        low_passed(gap, _with_lags(gap, side), 10.0), _with_lags(gap, load),
+    ])  # fmt: skip
+    changes = y, _derivative(gap, y), _derivative(gap, _derivative(gap, y))
+    found = dict(transmission_laws(gap, 1))["twist with load"]
+    torque = sum(s[:, 1, None] * c for s, c in zip(slopes, changes, strict=True))
+    np.testing.assert_allclose(found[1], torque, rtol=1e-6, atol=1e-9)

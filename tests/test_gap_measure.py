@@ -27,6 +27,7 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
+from hybrid.signals.filters import butterworth
 
 CUTOFF = 10.0
 LIFTED = Robot.load(mujoco.MjModel.from_xml_string(LIFT))
@@ -485,3 +486,18 @@ def test_a_gap_knows_its_rate_and_what_was_measured():
     np.testing.assert_allclose(gap.load[:, 0], np.concatenate(
         [b.load[:: s.factor, 0] for _, b, s in gap]
     ))  # fmt: skip
+
+
+def test_declared_friction_keeps_its_band_up_to_twenty_five_hertz():
+    """Above, the lower half of the band has all of it."""
+    rubs = replace(pendulum(), frictionloss=np.array([2.0]))
+    for cutoff, kept in ((50.0, False), (40.0, True), (10.0, True)):
+        gap = measure_gap(rubs, swings(count=1), cutoff=cutoff)
+        ((plain, _, _),), ((found, _, _),) = gap.lower_band, gap.lower_band_reported
+        dry = 2.0 * np.sign(gap.motions[0].v)
+        wide = butterworth(dry, rate=100.0, cutoff=25.0) if cutoff >= 25.0 else dry
+        narrow = butterworth(dry, rate=100.0, cutoff=cutoff / 2)
+        more = kept * (wide - narrow)
+        np.testing.assert_allclose(found.tau - plain.tau, more, atol=1e-12)
+        slow = butterworth(gap.motions[0].q, rate=100.0, cutoff=cutoff / 2)
+        np.testing.assert_allclose(plain.q, slow)
