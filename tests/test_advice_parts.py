@@ -35,11 +35,10 @@ from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ExcitationError, HybridError
-from hybrid.plant.reference import Reference, random_fourier
+from hybrid.plant.reference import Reference
 from hybrid.robot.spatial import central_inertia
 
 
@@ -607,9 +606,3 @@ def test_findings_of_a_servo_that_are_alike_ask_for_other_gains():
         "run with other gains (10 s)", ("controller_gain", "command_latency"), 0.0
     )
     assert plans("controller_gain") == [] and plans("coulomb", "viscous") == []
-
-
-def test_a_random_path_is_as_the_menu_says():
-    reference = random_fourier(pendulum(2), duration=5.0, rate=50.0, seed=0)
-    assert reference.rate == pytest.approx(50.0)
-    assert candidate(gap_of(), TorqueOffset((0,))).fixed_gains is None

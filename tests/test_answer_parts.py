@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pendulum import gap_of, pendulum, swings, with_torque
+from pendulum import gap_of, pendulum, with_torque
 
 from hybrid.diagnosis import diagnose as diagnose_module
 from hybrid.diagnosis.answer import command, motion_gap
@@ -45,6 +45,7 @@ from hybrid.diagnosis.answer.shared_delay import delay_finding
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
 from hybrid.diagnosis.diagnose import _drop_improbable, _verdict
+from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.effects.armature import Armature
@@ -55,7 +56,6 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.payload import Payload
 from hybrid.effects.presliding import Presliding
-from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
 
@@ -116,7 +116,7 @@ def test_values_have_intervals_of_two_deviations_within_the_bounds_of_shapes():
         (max(0.02 - 0.0294, bounds.lower), min(0.02 + 0.0294, bounds.upper))
     )
     assert level.determined
-    (prior,) = diagnose_candidate_std(gap, law)
+    (prior,) = candidate(gap, law).std
     for std, known in ((0.9 * prior, True), (1.1 * prior, False)):
         (level, _) = fitted_values(gap, law.at({}, {"level": std, "distance": 0.01}))
         assert level.determined == known
@@ -125,12 +125,6 @@ def test_values_have_intervals_of_two_deviations_within_the_bounds_of_shapes():
     assert not fitted_values(gap, wide)[1].determined
     certain = fitted_values(gap, law.at({}, {"level": 0.1}))[1]
     assert certain.interval == (certain.value, certain.value) and certain.determined
-
-
-def diagnose_candidate_std(gap, law):
-    from hybrid.diagnosis.evidence.candidates import candidate
-
-    return candidate(gap, law).std
 
 
 def test_values_of_an_arm_are_the_arms_and_of_couplings_of_both_joints():
@@ -606,9 +600,7 @@ def test_rotors_and_payloads_become_part_of_the_arm():
     robot = pendulum(2)
     x = SimpleNamespace(gap=SimpleNamespace(robot=robot), gains=None, rigid=())
     errors = np.zeros(22)
-    heavier = Armature((1,), {"inertia": 0.02})
-    gain = heavier.gains[0].name
-    heavier = Armature((1,), {gain: 0.02})
+    heavier = Armature((1,), {Armature.gains[0].name: 0.02})
     carried = Payload((0, 1), {"mass": 0.5})
     rubs = Coulomb((0,), {"level": 1.0})
     found, rest = corrected(x, (heavier, carried, rubs), errors)
@@ -911,7 +903,6 @@ def test_a_region_is_written_with_its_range():
     assert finding["class"] == ["coulomb", "viscous"]
     assert "horizon_s" not in finding["shrink"]["torque"]
     assert finding["shrink"]["motion"]["horizon_s"] == 0.5
-    assert swings(count=1)[0].q.shape[1] == 1 and TorqueOffset.id == "torque_offset"
 
 
 # --- more of servos and files ---------------------------------------------------------
