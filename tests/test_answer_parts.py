@@ -20,6 +20,7 @@ from hybrid.diagnosis.answer.findings import (
     torque_shrink,
 )
 from hybrid.diagnosis.answer.fixed import _servo_notes, fixed_model, fixed_simulator
+from hybrid.diagnosis.answer.intervals import shrunk
 from hybrid.diagnosis.answer.motion_gap import (
     _in_motion,
     _removed,
@@ -1055,3 +1056,25 @@ def test_the_limit_of_a_test_is_for_every_range_of_neighbouring_bins(monkeypatch
     assert test.limit == pytest.approx(norm.isf(0.05 / ranges))
     assert test.correlated == pytest.approx(gap.rate / 2 / gap.cutoff)
     assert test.draws.shape == (1000, 8) and (test.draws.sum(axis=1) == 8).all()
+
+
+def test_a_shrinkage_is_resampled_over_blocks_of_time():
+    squares = np.array([[40.0, 10.0, 60.0, 0.0], [10.0, 9.0, 1.0, 5.0]])
+    found = shrunk(squares, 8, "N", rng())
+    k = rng().integers(3, size=(400, 3))  # the block without a gap does not count
+    before, after = (squares[i][k].sum(axis=1) for i in (0, 1))
+    ends = np.quantile(1 - np.sqrt(after / before), [0.025, 0.975])
+    assert found.interval == pytest.approx(tuple(ends))
+    assert found.before == pytest.approx(np.sqrt(110.0 / 8)) and found.unit == "N"
+
+
+def test_gains_beside_a_scale_of_torque_are_divided_by_it():
+    robot = replace(pendulum(), kp=np.array([50.0]), kd=np.array([2.0]))
+    fit = SimpleNamespace(
+        law=SimpleNamespace(scaled=True), gains=np.array([0.8, 36.0, 2.0]),
+        covariance=np.diag([1.0, 1.0, 0.01, 4.0, 0.04]),
+    )  # fmt: skip
+    error, std = command._gain_errors(fit, SimpleNamespace(robot=robot), 0)
+    np.testing.assert_allclose(error, [36 / 40 - 1, 2 / 1.6 - 1])
+    expected = [np.hypot(2.0 / 40, 0.9 * 0.1 / 0.8), np.hypot(0.2 / 1.6, 1.25 * 0.125)]
+    np.testing.assert_allclose(std, expected)

@@ -250,3 +250,8 @@ def test_notes_name_the_log_and_every_joint_that_jumps():
     assert note.startswith("run 3: torque of a, b jumps while the joint moves")
     assert "first at 3.29 s" in note
     assert np.flatnonzero(found.posture).tolist() == [329, 330, 499, 500]
+
+
+def test_a_sudden_stop_near_the_begin_of_a_log_is_seen():
+    for first in (4, 5, 6, 7):
+        assert _frozen(paused(first, 40), 10)[first:40].all()

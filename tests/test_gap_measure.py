@@ -501,3 +501,21 @@ def test_declared_friction_keeps_its_band_up_to_twenty_five_hertz():
         np.testing.assert_allclose(found.tau - plain.tau, more, atol=1e-12)
         slow = butterworth(gap.motions[0].q, rate=100.0, cutoff=cutoff / 2)
         np.testing.assert_allclose(plain.q, slow)
+
+
+def test_a_split_has_a_test_set_where_there_are_fewer_than_four_blocks():
+    assert held_out(parted(1, 3)) == [(0, 2)]
+    assert held_out(parted(1, 2)) == [(0, 1)]
+
+
+def test_slow_motion_of_one_joint_is_asked_for_before_reversals_of_another():
+    v = np.concatenate([np.full(500, 1.0), np.full(500, -1.0), np.full(40, 0.005)])
+    turning = both_ways((260, 1.0))
+    both = np.stack([v, turning], axis=1)
+    sampled = SimpleNamespace(
+        q=np.cumsum(both, axis=0), v=both, mask=np.ones(len(v), dtype=bool)
+    )
+    free = np.full(2, np.inf)
+    robot = replace(pendulum(2), q_min=-free, q_max=free, v_max=free)
+    gap = SimpleNamespace(robot=robot, sampled=sampled, rate=100.0)
+    assert not_excited(gap) == ("hinge_1 below 1 rad/s", "reversals of hinge_0")
