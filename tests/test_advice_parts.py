@@ -1,0 +1,608 @@
+"""Advice by its parts, on pendulums without geometry: each takes no time to check."""
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pendulum import gap_of, pendulum
+
+from hybrid.diagnosis.advice.advise import (
+    Discriminations,
+    Plan,
+    _for_not_excited,
+    _for_servos,
+    _for_unexplained,
+    _placed,
+    choose,
+)
+from hybrid.diagnosis.advice.envelope import Envelope
+from hybrid.diagnosis.advice.menu import (
+    Experiment,
+    Menu,
+    concatenated,
+    gap_along,
+    with_payload,
+)
+from hybrid.diagnosis.advice.separation import (
+    Discrimination,
+    required_evidence,
+    tried_shapes,
+)
+from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
+from hybrid.diagnosis.answer.diagnosis import Advice
+from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.gap.gap import simulated_torque
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.torque_ripple import TorqueRipple
+from hybrid.effects.viscous import Viscous
+from hybrid.errors import ExcitationError, HybridError
+from hybrid.plant.reference import Reference
+from hybrid.robot.spatial import central_inertia
+
+
+def path(seconds=4.0, rate=100.0, speed=1.0, size=1):
+    """A sine wave of some speed."""
+    t = np.arange(round(seconds * rate) + 1) / rate
+    q, v, a = np.sin(t), np.cos(t), -np.sin(t)
+    return Reference(t, *(np.tile(speed * x[:, None], (1, size)) for x in (q, v, a)))
+
+
+@cache
+def menu():
+    slow = replace(pendulum(2), v_max=np.array([1.0, 1.0]))
+    return Menu(slow, np.random.default_rng(0), rate=50.0)
+
+
+# --- motions --------------------------------------------------------------------------
+
+
+def test_motions_one_after_the_other_share_the_sample_where_they_meet():
+    one, two = path(1.0), path(2.0)
+    whole = concatenated([one, two, one])
+    assert whole.t[-1] == pytest.approx(4.0) and len(whole.t) == 401
+    np.testing.assert_allclose(np.diff(whole.t), 0.01)
+    for name in "qva":
+        parts = [getattr(x, name) for x in (one, two, one)]
+        joined = np.concatenate([parts[0], parts[1][1:], parts[2][1:]])
+        np.testing.assert_array_equal(getattr(whole, name), joined)
+    assert concatenated([one]) is one
+
+
+def test_a_motion_is_plain_where_nothing_has_to_be_prepared():
+    plain = Experiment("x", path())
+    assert plain.plain and plain.arm(pendulum()) is pendulum()
+    assert not replace(plain, start=1200.0).plain and not replace(plain, mass=1.0).plain
+    assert not replace(plain, gains=True).plain
+    carried = replace(plain, mass=1.0).arm(pendulum())
+    assert carried.chain.inertial[0, 0] == 3.0
+
+
+def test_a_payload_is_a_point_at_the_centre_of_the_last_link():
+    """The centre stays, and about it nothing is added."""
+    x, y, z = centre = np.array([0.1, -0.2, 0.3])
+    about = np.diag([0.02, 0.03, 0.04])
+    own = about + 3.0 * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    six = own[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    inertial = pendulum(2).chain.inertial.copy()
+    inertial[1] = [3.0, 3 * x, 3 * y, 3 * z, *six]
+    heavy = with_payload(pendulum(2).with_inertial(inertial), 0.5).chain.inertial
+    np.testing.assert_array_equal(heavy[0], inertial[0])
+    mass, at, rest = central_inertia(heavy[1])
+    assert mass == 3.5
+    np.testing.assert_allclose(at, centre)
+    np.testing.assert_allclose(rest, about, atol=1e-12)
+
+
+def test_a_link_without_mass_carries_at_its_origin():
+    inertial = pendulum(1).chain.inertial.copy()
+    inertial[0] = 0.0
+    heavy = with_payload(pendulum(1).with_inertial(inertial), 0.5).chain.inertial
+    np.testing.assert_allclose(heavy[0], [0.5, *np.zeros(9)])
+
+
+def test_an_envelope_of_an_arm_without_geometry_is_its_limits():
+    envelope = Envelope.of(pendulum())
+    assert envelope.clearance is None
+    assert envelope.limits.high == pytest.approx([1.6])  # 80 % of two radians
+    slow, fast = path(speed=0.5), path(speed=9.0)
+    assert envelope.checked(slow) is slow
+    with pytest.raises(ExcitationError):
+        envelope.checked(fast)
+
+
+def test_the_first_safe_try_of_twelve_is_taken():
+    envelope, tried = Envelope.of(pendulum()), []
+
+    def make(k):
+        tried.append(k)
+        return path(speed=0.5 if k == safe else 9.0)
+
+    safe = 11
+    assert envelope.first_safe(make).v[0, 0] == 0.5 and tried == list(range(12))
+    safe, tried = 12, []
+    with pytest.raises(ExcitationError):
+        envelope.first_safe(make)
+    assert tried == list(range(12))
+
+
+def test_an_arm_with_a_payload_is_checked_with_it():
+    envelope, slow = Envelope.of(pendulum()), path(speed=0.5)
+    heavy = with_payload(pendulum(), 60.0)
+    with pytest.raises(ExcitationError, match="torque"):
+        envelope.checked(slow, heavy)
+    with pytest.raises(ExcitationError, match="torque"):
+        envelope.first_safe(lambda _: slow, heavy)
+
+
+def test_only_postures_that_differ_are_checked_and_the_closest_links_named():
+    asked = []
+
+    def excess(at):
+        asked.append(len(at.t))
+        return np.column_stack([at.q[:, 0] - limit, at.q[:, 0] - 2 * limit])
+
+    clearance = SimpleNamespace(pairs=[(0, 1)], names=("a", "b"), excess=excess)
+    envelope = replace(Envelope.of(pendulum()), clearance=clearance)
+    limit, slow = 0.6, path(speed=0.5)
+    assert envelope.checked(slow) is slow
+    limit = 0.4
+    with pytest.raises(ExcitationError, match="^a; valid is a motion with more room"):
+        envelope.checked(slow)
+    # Half a radian to either side, in steps of a hundredth.
+    assert asked[0] == len(np.unique(np.round(slow.q / 0.01))) < 100
+    none = replace(envelope, clearance=SimpleNamespace(pairs=[], excess=None))
+    assert none.checked(slow) is slow
+
+
+def test_a_menu_is_of_a_joint_and_of_all_joints():
+    about = menu().about(1)
+    assert menu().about(1)[0] is about[0]  # made once
+    assert [x.name for x in about[:2]] == [
+        "a ladder of speeds of hinge_1, up and down", "small reversals of hinge_1",
+    ]  # fmt: skip
+    for experiment in about[:2]:
+        v = experiment.reference.v
+        assert not v[:, 0].any() and v[:, 1].any()
+        assert experiment.reference.rate == pytest.approx(50.0, rel=1e-3)
+    every = about[2:]
+    assert every == menu().of_all_joints and len(every) == 7
+    short, long = about[0].reference, menu().ladder(1)[0].reference
+    assert short.t[-1] < long.t[-1]
+    # The same speeds, each for half the time.
+    np.testing.assert_allclose(short.v.max(), long.v.max(), rtol=0.05)
+
+
+def test_the_prepared_experiments_say_what_they_need():
+    *_, warm, halved, heavy = menu().of_all_joints
+    assert (warm.start, warm.mass, warm.gains) == (1200.0, 0.0, False)
+    assert "after 20 minutes of work" in warm.name
+    assert (halved.start, halved.mass, halved.gains) == (0.0, 0.0, True)
+    assert (heavy.start, heavy.mass, heavy.gains) == (0.0, 1.0, False)
+    assert "a known mass of 1 kg at the last link" in heavy.name
+    for experiment in (warm, halved, heavy):
+        assert experiment.reference.t[-1] == pytest.approx(20.0, abs=0.1)
+
+
+def test_a_payload_is_half_of_a_link_or_less_until_it_can_be_carried():
+    """Each try is half of the one before, of the median link, to one digit."""
+    for most, mass in ((np.inf, 1.0), (0.8, 0.5), (0.4, 0.2), (0.1, None)):
+        made = Menu(pendulum(2), np.random.default_rng(0), rate=50.0)
+        asked = []
+
+        def if_safe(
+            name, make, *, start=0.0, mass=0.0, gains=False, most=most, asked=asked
+        ):
+            asked.append(mass)
+            return (Experiment(name, path(), start, mass, gains),) * (mass <= most)
+
+        made._if_safe = if_safe
+        found = made._prepared()
+        assert [x.mass for x in found] == [0.0, 0.0, *([mass] if mass else [])]
+        assert asked[2:] == [x for x in (1.0, 0.5, 0.2) if not mass or x >= mass]
+    light = pendulum(2).with_inertial(0.0 * pendulum(2).chain.inertial)
+    made = Menu(light, np.random.default_rng(0), rate=50.0)
+    made._if_safe = lambda *_, **__: ("x",)
+    assert made._prepared() == ("x", "x")
+
+
+def test_an_experiment_that_is_not_safe_is_not_on_the_menu():
+    weak = replace(pendulum(), tau_max=np.array([0.01]))
+    assert Menu(weak, np.random.default_rng(0), rate=50.0).of_all_joints == ()
+
+
+def test_tries_are_smaller_and_their_postures_are_within_the_range():
+    sizes = []
+    for k in (0, 1, 2):
+        made = Menu(pendulum(2), np.random.default_rng(3), rate=50.0)
+        sizes.append(np.ptp(made._path(10.0, 0.5, k).q))
+    assert sizes[1] / sizes[0] == pytest.approx(0.85)
+    assert sizes[2] / sizes[0] == pytest.approx(0.85**2)
+    assert menu()._posture(0) is None
+    some = np.array([menu()._random_posture(0.5) for _ in range(200)])
+    # Limits of ±2 and 80 % of the range; half of this about the middle.
+    assert 0.75 < np.abs(some).max() <= 0.8 + 1e-12
+    np.testing.assert_array_equal(menu()._random_posture(0.0), [0.0, 0.0])
+
+
+def test_poses_are_eight_and_the_first_again_or_at_least_four():
+    for most, count in ((8, 9), (5, 6), (4, 5), (3, None)):
+        made = Menu(pendulum(2), np.random.default_rng(0), rate=50.0)
+        seen = []
+
+        def checked(move, robot=None, most=most, seen=seen):
+            # Two moves of each pose: to it, and from it to the first.
+            if len(move.q) > 6:
+                seen.append(1)
+            if (len(seen) + 1) // 2 >= most:
+                raise HybridError("no room")
+            return move
+
+        envelope = made.envelope
+        made.__dict__["envelope"] = SimpleNamespace(
+            limits=envelope.limits, first_safe=lambda make: make(0), checked=checked
+        )
+        if count is None:
+            with pytest.raises(HybridError, match="too few poses"):
+                made._poses()
+            continue
+        poses = made._poses()
+        assert len(poses) == count
+        np.testing.assert_array_equal(poses[0], poses[-1])
+        np.testing.assert_array_equal(poses[0], [0.0, 0.0])
+        assert np.abs(poses).max() <= 0.85 * 1.6
+
+
+# --- a gap along a motion -------------------------------------------------------------
+
+
+def test_a_gap_along_a_motion_leaves_out_its_ends_and_where_it_stands():
+    known = replace(gap_of(size=2, noise=0.0), cutoff=10.0)
+    ahead = gap_along(known, Experiment("x", path(6.0, 100.0, size=2)))
+    (motion,) = ahead.motions
+    assert ahead.cutoff == 10.0 and motion.rate == pytest.approx(50.0)
+    inner = (motion.t > 0.2 - 1e-9) & (motion.t < motion.t[-1] - 0.2 + 1e-9)
+    np.testing.assert_array_equal(motion.mask, inner)
+    tau = simulated_torque(known.robot, motion, ahead.bodies[0])
+    np.testing.assert_array_equal(motion.tau, tau)
+    fastest = np.abs(known.sampled.v).max(axis=0)
+    factor = ahead.samplers[0].factor
+    moves = np.abs(motion.v[::factor]) > 0.01 * fastest
+    kept = ahead.samplers[0].keep(motion.mask)
+    np.testing.assert_array_equal(ahead.moving, moves & kept[:, None])
+    assert ahead.left.shape == ahead.moving.shape and not ahead.left.any()
+    assert not ahead.fold.any() and not ahead.trajectory.any()
+    assert motion.temperature is None
+
+
+def test_a_gap_along_a_motion_has_thirty_hertz_at_most_and_five_samples_a_period():
+    known = gap_of(noise=0.0)
+    for cutoff, rate, kept in (
+        (40.0, 1000.0, 1000 / 6), (30.0, 1000.0, 1000 / 6), (20.0, 1000.0, 100.0),
+        (20.0, 99.0, 99.0),
+    ):  # fmt: skip
+        reference = path(6.0, rate)
+        ahead = gap_along(replace(known, cutoff=cutoff), Experiment("x", reference))
+        assert ahead.cutoff == min(cutoff, 30.0)
+        assert ahead.motions[0].rate == pytest.approx(kept, rel=1e-3)
+
+
+def test_warm_drives_are_twenty_kelvin_above_the_log_and_cold_ones_as_at_its_start():
+    known = gap_of(noise=0.0, count=1)
+    (m,) = known.motions
+    log = replace(m, temperature=np.linspace(25.0, 40.0, len(m.t))[:, None])
+    known = replace(known, motions=(log,))
+    hottest = known.sampled.temperature.max()
+    for start, warm in ((0.0, 25.0), (1200.0, hottest + 20.0)):
+        ahead = gap_along(known, Experiment("x", path(), start=start))
+        assert ahead.motions[0].t[0] == start
+        np.testing.assert_allclose(ahead.motions[0].temperature, warm)
+        assert ahead.motions[0].temperature.shape == ahead.motions[0].q.shape
+
+
+# --- columns in units of noise --------------------------------------------------------
+
+
+def test_columns_are_of_the_samples_that_move_in_units_of_noise():
+    gap = gap_of(Viscous((0,), {"coefficient": 0.5}), size=2)
+    view = WhitenedColumns(gap, np.array([4.0, 0.25]))
+    for i in range(2):
+        assert view.rows[i].tolist() == np.flatnonzero(gap.moving[:, i]).tolist()
+        unit = (0.5, 2.0)[i]
+        np.testing.assert_allclose(view.residual[i], unit * gap.left[view.rows[i], i])
+        drag = Viscous((i,))
+        own = gap.columns(drag)[i][view.rows[i]]
+        found = view.columns(drag)
+        assert set(found) == {i}
+        np.testing.assert_allclose(found[i], unit * own)
+    some = [np.array([3, 5]), np.array([7])]
+    few = WhitenedColumns(gap, np.ones(2), some)
+    assert [len(x) for x in few.residual] == [2, 1]
+    kept = candidate(gap, Viscous((0,)))
+    assert few.cached(kept) is few.cached(kept)
+
+
+def test_columns_are_stacked_at_each_joint_with_zeros_where_they_do_not_reach():
+    view = WhitenedColumns(gap_of(size=2), np.ones(2), [np.arange(3), np.arange(2)])
+    one, two = {0: np.full((3, 2), 1.0)}, {0: np.full((3, 1), 2.0), 1: np.ones((2, 1))}
+    first, second = view.stack([one, two])
+    np.testing.assert_array_equal(first, [[1.0, 1.0, 2.0]] * 3)
+    np.testing.assert_array_equal(second, [[0.0, 0.0, 1.0]] * 2)
+
+
+def test_shapes_have_columns_of_their_own_and_the_background_has_three_parts():
+    gap = gap_of(size=2)
+    view = WhitenedColumns(gap, np.ones(2))
+    wave = TorqueRipple((0,), {"sine": 1.0, "cosine": 0.0, "periods": 3.0})
+    assert len(view.with_shapes(wave)) == 2  # a whole number has no derivative
+    assert len(view.with_shapes(Coulomb((0,)))) == 1
+    # Two links and two rotors, friction at two joints, and two delays.
+    assert len(view.background) == 2 + 2 + 2 + 2
+
+
+def test_decimated_motions_keep_the_samples_of_the_gap():
+    gap = gap_of(size=2)
+    few = decimated(gap)
+    for m, (motion, _, sampler) in zip(few.motions, gap, strict=True):
+        assert sampler.factor == 2
+        np.testing.assert_array_equal(m.t, motion.t[::2])
+    assert [len(b.load) for b in few.bodies] == [len(m.t) for m in few.motions]
+
+
+# --- separation -----------------------------------------------------------------------
+
+
+class Lines:
+    """A rival with a single column, and its gain and precision."""
+
+    def __init__(self, column, gain, precision):
+        self.gains, self.precision = np.array([gain]), np.array([[precision]])
+        self.column = np.asarray(column, dtype=float)[:, None]
+
+    def stack(self, motions):
+        return [motions * self.column]
+
+
+def test_rivals_are_apart_by_what_the_other_cannot_make_good():
+    """Columns at a right angle: nothing is, but by a gain that is not certain."""
+    first = Lines([3.0, 0.0], 2.0, 1.0)
+    second = Lines([0.0, 4.0], 1.0, 9.0)
+    view = Discrimination([], None, 1.0)
+    # The difference (6, −4), less (18²/10) or (16²/25) that a new gain takes.
+    expected = np.sqrt(52.0 - max(18.0**2 / 10.0, 16.0**2 / 25.0))
+    assert view.separation(first, second) == pytest.approx(expected)
+    assert view.separation(second, first) == pytest.approx(expected)
+    doubled = Discrimination([], None, 2.0).separation(first, second)
+    rest = 4 * 52.0 - max((4 * 18.0) ** 2 / 37.0, (4 * 16.0) ** 2 / 73.0)
+    assert doubled == pytest.approx(np.sqrt(rest))
+    assert view.separation(first, Lines([3.0, 0.0], 2.0, 1.0)) == 0.0
+
+
+def test_evidence_that_is_required_is_a_hundred_to_one_or_three_percent():
+    assert required_evidence(0.0) == pytest.approx(np.log(100.0))
+    assert required_evidence(100.0) == pytest.approx(np.log(100.0))
+    assert required_evidence(1000.0) == pytest.approx(30.0)
+
+
+def test_long_waves_are_tried_besides_those_that_a_search_tried():
+    gap = gap_of()
+    wave = candidate(gap, TorqueRipple((0,), {"periods": 40.0}))
+    plain = candidate(gap, Coulomb((0,)))
+    pool = SimpleNamespace(tried=[SimpleNamespace(candidate=x) for x in (plain, wave)])
+    found = tried_shapes(SimpleNamespace(pool=pool))
+    assert found[:2] == [plain, wave] and len(found) == 8
+    assert [c.effect.values["periods"] for c in found[2:]] == [1, 2, 3, 4, 5, 6]
+    assert all(c.std is wave.std for c in found[2:])
+
+
+# --- the choice -----------------------------------------------------------------------
+
+
+NAMED = ("one", "two", "three", "heavy")
+
+
+def experiments():
+    plain = [Experiment(x, path(10.0)) for x in NAMED[:3]]
+    return [*plain, Experiment("heavy", path(), mass=1.0)]
+
+
+class Foreseen:
+    """Separations and contrasts by the name of an experiment."""
+
+    def __init__(self, menu, **told):
+        self.menu, self.told, self.asked = menu, told, []
+
+    def about(self, joint, *, warm):
+        return self.menu
+
+    def __getitem__(self, experiment):
+        size, *told = self.told.get(experiment.name, (0.0, 0.0, 0.0))
+
+        def contrast(*_):
+            self.asked.append(experiment.name)
+            return told
+
+        return SimpleNamespace(separation=lambda *_: size, contrast=contrast)
+
+
+RIVALS = tuple(
+    SimpleNamespace(effect=SimpleNamespace(id=x), evidence=0.0)
+    for x in ("coulomb", "viscous")
+)
+
+
+def test_the_most_telling_of_those_that_tell_is_chosen():
+    listed, chosen = experiments(), []
+    told = {"one": (9.0, 1.3, 1.4), "two": (8.0, 2.0, 1.5), "three": (7.0, 9.0, 1.1)}
+    plan = choose(Foreseen(listed, **told), (0,), RIVALS, chosen)
+    assert plan.experiment is listed[1] and chosen == [listed[1]]
+    assert plan.advice == Advice("run two (10 s)", ("coulomb", "viscous"), 8.0)
+
+
+@pytest.mark.parametrize(("contrast", "enough"), [(1.19, False), (1.21, True)])
+def test_the_required_evidence_is_exceeded_by_a_fifth(contrast, enough):
+    foreseen = Foreseen(experiments(), one=(9.0, contrast, contrast))
+    found = choose(foreseen, (0,), RIVALS, [])
+    assert (found is not None) == enough
+
+
+@pytest.mark.parametrize(("size", "asked"), [(1.34, []), (1.37, ["one"])])
+def test_an_experiment_that_separates_too_little_is_not_worked_out(size, asked):
+    """Half its square is at most a fifth of log 100."""
+    foreseen = Foreseen(experiments(), one=(size, 9.0, 9.0))
+    choose(foreseen, (0,), RIVALS, [])
+    assert foreseen.asked == asked
+
+
+def test_four_are_worked_out_and_the_rest_only_where_none_tells():
+    many = [Experiment(f"x{k}", path()) for k in range(6)]
+    told = {f"x{k}": (10.0 + k, 0.0, 0.0) for k in range(6)}
+    foreseen = Foreseen([*many, Experiment("heavy", path(), mass=1.0)], **told)
+    foreseen.told["heavy"] = (99.0, 5.0, 5.0)
+    plan = choose(foreseen, (0,), RIVALS, [])
+    assert foreseen.asked == ["x5", "x4", "x3", "x2", "heavy"]
+    assert plan.experiment.name == "heavy"
+    foreseen.told["x3"], foreseen.asked = (13.0, 2.0, 2.0), []
+    assert choose(foreseen, (0,), RIVALS, []).experiment.name == "x3"
+    assert "heavy" not in foreseen.asked
+
+
+def test_what_is_advised_already_is_taken_first_if_it_is_plain():
+    listed = experiments()
+    told = {x: (9.0, 2.0, 2.0) for x in ("two", "heavy")} | {"one": (99.0, 9.0, 9.0)}
+    chosen = [listed[1]]
+    again = choose(Foreseen(listed, **told), (0,), RIVALS, chosen)
+    assert again.experiment is listed[1] and chosen == [listed[1]]
+    chosen = [listed[3]]
+    other = choose(Foreseen(listed, **told), (0,), RIVALS, chosen)
+    assert other.experiment is listed[0] and chosen == [listed[3], listed[0]]
+
+
+def test_one_of_two_is_confirmed_where_nothing_tells_both():
+    told = {"one": (9.0, 0.1, 2.0), "two": (8.0, 3.0, 0.2), "three": (7.0, 2.5, 0.2)}
+    plan = choose(Foreseen(experiments(), **told), (0,), RIVALS, [])
+    assert plan.experiment.name == "two"
+    text = "run two (10 s); it settles whether it is coulomb, or else bounds it"
+    assert plan.advice.experiment == text and plan.advice.separation == 8.0
+
+
+def test_warm_drives_are_for_laws_that_warm():
+    """Experiments with other gains tell nothing of the arm's own torque."""
+    menu = SimpleNamespace(
+        about=lambda joint: [
+            Experiment("cold", path()), Experiment("warm", path(), start=1200.0),
+            Experiment("gains", path(), gains=True),
+        ]
+    )  # fmt: skip
+    search = SimpleNamespace(
+        pool=SimpleNamespace(tried=[]),
+        evidence=SimpleNamespace(noise=np.ones(1), rows=None),
+    )
+    gap = gap_of()
+    made = Discriminations(
+        SimpleNamespace(scored=SimpleNamespace(gap=gap), search=search), menu
+    )
+    assert [x.name for x in made.about(0, warm=False)] == ["cold"]
+    assert [x.name for x in made.about(0, warm=True)] == ["cold", "warm"]
+    (cold,) = made.about(0, warm=False)
+    assert made[cold] is made[cold] and len(made[cold]._parts) == 2
+    # Independent samples are as many as the band asks for, whatever the rate.
+    there = made[cold]._ahead
+    share = there.gap.rate / gap.rate
+    np.testing.assert_allclose(there._unit, share**-0.5)
+    heavy = Experiment("heavy", path(), mass=0.5)
+    assert len(made[heavy]._parts) == 1  # it is diagnosed alone
+
+
+def test_effects_at_two_joints_are_named_with_their_joints():
+    listed = experiments()
+    search = SimpleNamespace(placed=lambda x: x)
+    both = ("load_friction", "elbow"), ("coulomb", "wrist")
+    plan = Plan(Advice("run one (10 s)", (), 1.0), listed[0])
+    said = _placed(search, plan, both).advice.experiment
+    assert said == (
+        "run one (10 s); it settles whether it is load friction at elbow "
+        "or coulomb at wrist"
+    )
+    confirms = replace(plan, advice=Advice("run one (10 s); it settles", (), 1.0))
+    assert _placed(search, confirms, both) is confirms
+    by_hand = Plan(Advice("push it", (), 0.0))
+    assert _placed(search, by_hand, both) is by_hand
+
+
+# --- other advice ---------------------------------------------------------------------
+
+
+def asked_menu(*names):
+    ladder = [Experiment("a ladder of speeds", path(2.0))]
+    found = [Experiment(x, path(10.0), gains="gains" in x) for x in names]
+    return SimpleNamespace(
+        about=lambda joint: found, ladder=lambda joint: ladder, of_all_joints=found
+    )
+
+
+def unexplained(depends, missed, verdict="unexplained"):
+    account = SimpleNamespace(missed=np.array(missed), depends=depends)
+    diagnosis = SimpleNamespace(verdict=verdict)
+    result = SimpleNamespace(diagnosis=diagnosis, account=account)
+    names = (
+        "one path", "a ladder of speeds", "moves between poses", "a multisine",
+        "a random motion of all joints twice", "a random motion of all joints again",
+    )  # fmt: skip
+    return list(_for_unexplained(result, asked_menu(*names)))
+
+
+@pytest.mark.parametrize(
+    ("depends", "name"),
+    [
+        ("past of load", "a multisine"), ("what does not recur", "twice"),
+        ("events", "twice"), ("lines in time", "twice"), ("speed and time", "again"),
+        ("waves in position", "ladder"), ("direction and load", "poses"),
+        ("position of elbow", "poses"), ("posture", "poses"),
+        ("acceleration", "one path"), ("speed", "ladder"), ("", "ladder"),
+    ],
+)  # fmt: skip
+def test_each_variable_has_the_experiment_that_isolates_it(depends, name):
+    (plan,) = unexplained((depends, "speed"), [16.0, 4.0])
+    assert name in plan.advice.experiment
+    assert plan.advice.separation == 4.0 and plan.advice.splits == ()
+    assert plan.advice.experiment == f"run {plan.experiment.name} (10 s)"
+
+
+def test_the_joint_that_misses_most_is_asked_about_if_anything_is_missed():
+    (plan,) = unexplained(("past", "load"), [1.0, 9.0])
+    assert "poses" in plan.advice.experiment and plan.advice.separation == 3.0
+    assert unexplained(("load",), [0.0]) == []
+    assert unexplained(("load",), [4.0], "explained") == []
+    assert len(unexplained(("load",), [4.0], "partly_explained")) == 1
+
+
+def test_up_to_three_joints_that_stood_climb_a_ladder():
+    said = (
+        "a does not move", "b moving up", "c below 0.1 rad/s", "d", "e moving down",
+        "reversals of f",
+    )  # fmt: skip
+    result = SimpleNamespace(
+        gap=SimpleNamespace(robot=SimpleNamespace(joints=tuple("abcdef"))),
+        diagnosis=SimpleNamespace(not_excited=said),
+    )
+    asked = []
+    menu = asked_menu()
+    menu.ladder = lambda j: asked.append(j) or [Experiment("a ladder", path(2.0))]
+    plans = list(_for_not_excited(result, menu))
+    assert asked == [0, 1, 3]
+    assert [p.advice for p in plans] == [Advice("run a ladder (2 s)", (), 0.0)] * 3
+
+
+def test_findings_of_a_servo_that_are_alike_ask_for_other_gains():
+    def plans(*ids):
+        finding = SimpleNamespace(alternatives=ids)
+        result = SimpleNamespace(diagnosis=SimpleNamespace(findings=(finding,)))
+        return list(_for_servos(result, asked_menu("a path", "with other gains")))
+
+    (plan,) = plans("controller_gain", "command_latency")
+    assert plan.advice == Advice(
+        "run with other gains (10 s)", ("controller_gain", "command_latency"), 0.0
+    )
+    assert plans("controller_gain") == [] and plans("coulomb", "viscous") == []

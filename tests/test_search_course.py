@@ -1,0 +1,582 @@
+"""The course of a search and of a diagnosis: what is asked when, of stated answers."""
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pendulum import NOISE, pendulum, swings, with_torque
+
+from hybrid.diagnosis import diagnose as diagnose_module
+from hybrid.diagnosis.advice import advise as advise_module
+from hybrid.diagnosis.advice.advise import Plan, _between
+from hybrid.diagnosis.answer.diagnosis import Advice
+from hybrid.diagnosis.diagnose import _Case, examine
+from hybrid.diagnosis.evidence.convention import Convention
+from hybrid.diagnosis.explanations import search as search_module
+from hybrid.diagnosis.explanations.cause import Cause
+from hybrid.diagnosis.explanations.posterior import Posterior
+from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.diagnosis.gap.servo import FEWEST, LATENCIES, laws, servo_logs
+from hybrid.diagnosis.prior import Prior
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
+from hybrid.effects.torque_gain import TorqueGain
+from hybrid.recording import Recording
+from hybrid.signals.filters import butterworth
+
+
+def cause(name, joint=0, *, known=True):
+    made = SimpleNamespace(place=(name, (joint,))) if known else None
+    return Cause((name, (joint,)), np.array([ord(name[0])]), 10.0, made)
+
+
+A, B, C, LAW = cause("a"), cause("b"), cause("c", 1), cause("speed", known=False)
+
+
+def named(causes):
+    return "".join(sorted(c.place[0] for c in causes))
+
+
+class Course(Search):
+    """A search that writes down what it does; nothing is computed."""
+
+    def __init__(self, causes=(), **answers):
+        self.causes, self._certain, self.refused = list(causes), [], frozenset()
+        self.prior, self.beliefs, self.did = Prior(), [], []
+        self.file_error, self._file_errors = 0.02, self.prior.file_errors
+        self.library_only, self._checked, self.whole = False, {}, []
+        self.evidence = SimpleNamespace(
+            noise=np.ones(2), scale_prior=lambda numbers, x: self._do(f"prior {x}")
+        )
+        self.numbers = np.zeros(1, dtype=int)
+        self.answers = answers
+
+    def _do(self, what, *default):
+        self.did.append(what)
+        found = self.answers.get(what, default[0] if default else None)
+        return found.pop(0) if isinstance(found, list) else found
+
+    def score(self, causes):
+        return self.answers["score"][named(causes)]
+
+    def _add(self):
+        return self._do("add", False)
+
+    def _exchange(self, cause):
+        return self._do(f"exchange {cause.place[0]}", False)
+
+    def _fit_file_error(self):
+        return self._do("fit", False)
+
+    def _exchange_file_error(self):
+        return self._do("exchange file", False)
+
+    def _reset_file_error(self):
+        return self._do("reset", False)
+
+    def update_noise(self, causes):
+        return self._do("noise", False)
+
+    def unseen_gain(self, causes):
+        gains = self.answers.get("gains", {})
+        return {c: gains.get(named(causes), {}).get(c.place[0], 1.0) for c in causes}
+
+    def unseen_loss(self, causes):
+        return np.array(self.answers.get("loss", {}).get(named(causes), (0.0, 0.0)))
+
+    def _remove(self):
+        self._do("remove")
+
+
+# --- one course -----------------------------------------------------------------------
+
+
+def test_a_round_adds_and_exchanges_until_nothing_changes():
+    at = Course([A, B], add=[True, True, False, False], **{"exchange a": [True]})
+    at._exchange = lambda cause: at._do(f"exchange {cause.place[0]}", False) or False
+    at.answers["exchange a"] = [True, False, False]
+    at._improve()
+    assert at.did[:5] == ["add", "add", "add", "exchange a", "exchange b"]
+    # What was tried in vain is tried again only where something near has changed.
+    assert at.did[5:] == ["add", "exchange a", "fit", "exchange file"]
+
+
+def test_a_round_is_repeated_where_the_error_of_the_file_has_changed():
+    at = Course([], fit=[True, False, False], **{"exchange file": [True, False]})
+    at._improve()
+    assert at.did == [
+        "add", "fit", "add", "fit", "exchange file", "add", "fit", "exchange file",
+    ]  # fmt: skip
+    endless = Course([], fit=[True] * 9)
+    endless._improve()
+    assert endless.did == ["add", "fit"] * 4
+
+
+def test_a_cause_that_is_gone_is_not_exchanged():
+    at = Course([A, B])
+
+    def exchange(cause):
+        at.did.append(f"exchange {cause.place[0]}")
+        at.causes = [A]
+        return True
+
+    at._exchange = exchange
+    at._improve()
+    assert "exchange b" not in at.did and at.did.count("exchange a") == 4
+
+
+def test_a_search_has_converged_where_all_causes_help_and_nothing_is_set_anew():
+    at = Course([A], reset=[True, False, False], noise=[True, False])
+    at._improve = lambda: at.did.append("improve")
+    at._converge()
+    assert at.did == [
+        "improve", "reset", "improve", "reset", "noise", "improve", "reset", "noise",
+    ]  # fmt: skip
+
+
+def test_causes_that_do_not_help_unseen_are_refused():
+    gains = {"ab": {"b": 0.0}, "abc": {"b": -1.0, "c": -2.0}}
+    at = Course([A, B], gains=gains, loss={"a": (5.0, 5.0)})
+    at._improve = lambda: None
+    at._converge()
+    assert at.causes == [A] and at.refused == {B.place}
+    # Of two, the one that helps alone may come back, but not the worst.
+    for alone, refused in (((4, 4), {C.place}), ((4, 6), {B.place, C.place})):
+        loss = {"a": (5, 5), "ab": alone, "ac": (4, 4)}
+        at = Course([A, B, C], gains=gains, loss=loss)
+        at._improve = lambda: None
+        at._converge()
+        assert at.causes == [A] and at.refused == refused
+    certain = Course([A, B], gains=gains)
+    certain._certain, certain._improve = [B], lambda: None
+    certain._converge()
+    assert certain.causes == [A, B]
+
+
+def run(causes, **answers):
+    """Whether a search that found some causes starts anew from the usual ones."""
+    at = Course(causes)
+    at._converge = lambda: at.did.append("converge")
+    at._restart = lambda: at.did.append("restart")
+    simple, improbable = answers.get("simple", [False]), answers.get("less", [False])
+    at._simplify = lambda: at._do("simplify") or simple.pop(0)
+    at._replace_improbable = lambda: at._do("replace") or improbable.pop(0)
+    with pytest.MonkeyPatch.context() as m:
+        m.setattr(search_module, "beliefs", lambda s: s.did.append("beliefs") or [1])
+        found = at.run()
+    assert found == at.causes == at.whole and at.beliefs == [1]
+    return at.did
+
+
+def test_a_search_of_few_known_causes_is_done_and_others_start_anew():
+    done = ["beliefs", "simplify", "replace"]
+    assert run([A, B, C]) == ["converge", *done]
+    assert run([A, B, C, cause("d")]) == ["converge", "restart", *done]
+    assert run([A, LAW]) == ["converge", "restart", *done]
+    again = run([A], simple=[True, False, False], less=[True, False])
+    assert again == [
+        "converge", "beliefs", "simplify", "beliefs", "simplify", "replace",
+        "beliefs", "simplify", "replace",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("fresh", "error", "kept"),
+    [(11.0, 0.02, "b"), (9.0, 0.02, "a"), (30.0, 0.2, "b"), (24.0, 0.2, "a")],
+)
+def test_the_more_probable_of_two_courses_is_kept(fresh, error, kept):
+    """An error of the file of a fifth costs fifteen nats here."""
+    at = Course([A], score={"a": 10.0, "b": fresh})
+    at.file_error_odds = lambda x: 15.0 * (x > 0.02)
+    at.set_file_error = lambda x: setattr(at, "file_error", x)
+    modes = []
+
+    def converge():
+        modes.append(at.library_only)
+        at.causes, at.file_error = [B], error
+
+    at._converge, at.refused = converge, frozenset([C.place])
+    at._with_usual = lambda causes: [C, *causes]
+    at._restart()
+    assert named(at.causes) == kept and modes == [True, False]
+    assert at.refused == frozenset() and at.library_only is False
+    assert at.file_error == (0.02 if kept == "a" else error)
+    assert at.did == ["fit", "noise", "remove", "prior 0.02", f"prior {at.file_error}"]
+
+
+def test_unknown_laws_give_way_to_effects_that_help_unseen():
+    at = Course([A, B, LAW], gains={"ab": {"b": 0.0}})
+    at.whole = [A, B, LAW]
+    at._converge = lambda: at.did.append("converge")
+    at._with_usual = lambda causes: [*causes, C]
+    at.answers["score"] = {"a": 1.0, "ac": 2.0}
+    at.substitute_unknown_laws()
+    assert at.causes == [A, C] and at._certain == [A] and at.library_only
+    assert at.did == ["remove", "converge"]
+    worse = Course([A, LAW], score={"a": 3.0, "ac": 2.0})
+    worse.whole, worse._with_usual = [A, LAW], at._with_usual
+    worse._converge = lambda: None
+    worse.substitute_unknown_laws()
+    assert worse.causes == [A]
+    same = Course([A])
+    same.whole = [A]
+    same.substitute_unknown_laws()
+    assert same.did == ["reset"] and same.library_only is False
+
+
+def test_usual_effects_are_tried_with_three_widths_of_their_prior(monkeypatch):
+    @dataclass(frozen=True)
+    class Usual:
+        place: tuple
+        prior_factor: float = 1.0
+
+    listed = [Usual(("a", (0,))), Usual(("c", (1,)))]
+    monkeypatch.setattr(search_module, "usual", lambda gap, without: listed)
+    at = Course()
+    at.gap, at.pool = None, SimpleNamespace(without=())
+    at.cause = lambda c: (c.place[0], c.prior_factor)
+    at.score = lambda causes: {1.0: 0.0, 10.0: 5.0, 100.0: 3.0}[causes[-1][1]]
+    assert at._with_usual([A]) == [A, ("c", 10.0)]
+    assert at._with_usual([]) == [("a", 10.0), ("c", 10.0)]
+
+
+# --- losses ---------------------------------------------------------------------------
+
+
+class Losses(Posterior):
+    """A posterior whose evidence is stated."""
+
+    def __init__(self, **evidence):
+        self.prior, self.rigid = Prior(), np.array([0, 1])
+        self.evidence = SimpleNamespace(
+            solve=lambda index: index, precision=np.ones(1),
+            prior_squares=lambda solution, columns: 6.0, **evidence,
+        )  # fmt: skip
+        self.numbers, self._cache, self._simple = np.zeros(1, int), {}, {}
+        self.pool, self.gap = SimpleNamespace(without=("viscous",)), None
+
+
+def test_a_held_out_loss_is_half_of_the_squares_with_those_of_the_background():
+    asked = []
+    at = Losses(held_out_loss=lambda x: asked.append(x) or np.array([4.0, 10.0]))
+    np.testing.assert_allclose(at.held_out_loss([A]), [5.0, 8.0])
+    np.testing.assert_allclose(at.held_out_loss([A]), [5.0, 8.0])
+    assert len(asked) == 1  # it is kept
+    at.evidence.precision = np.array([4.0])
+    at.held_out_loss([A])
+    assert len(asked) == 2  # but not for another error of the file
+
+
+def test_an_unseen_loss_is_scaled_to_the_training_samples():
+    at = Losses(noise=np.array([2.0, 4.0]), count=np.array([30, 10]))
+    at.__dict__["test"] = SimpleNamespace(
+        weighted_squares=lambda causes: np.array([3.0, 1.0]),
+        squares=lambda causes: np.array([8.0, 8.0]),
+        evidence=SimpleNamespace(count=np.array([15, 5])),
+    )
+    np.testing.assert_allclose(at.unseen_loss([]), [(4 * 2 + 6) / 2, (6 * 2 + 6) / 2])
+    at.test.evidence.count = np.array([0, 0])
+    np.testing.assert_allclose(at.unseen_loss([]), [(4 * 40 + 6) / 2] * 1 + [123.0])
+
+
+def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
+    at = Losses()
+    losses = {"a": (5.0, 5.0), "": (9.0, 8.0), "x": (7.0, 5.5), "ab": (2.0, 1.0)}
+    losses |= {"b": (4.0, 4.5), "bx": (9.0, 9.0)}
+    at.unseen_loss = lambda causes: np.array(losses[named(causes)])
+    at._simpler = lambda c, rest: [cause("x")] if c is A else []
+    assert at.unseen_gain([A]) == {A: 0.5} and at.unseen_gain([]) == {}
+    assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
+
+
+def test_the_simpler_law_of_a_cause_is_made_once_unless_it_is_there():
+    at = Losses()
+    made = []
+    at.cause = lambda c: made.append(c.place) or c.place
+    at.gap = measure_gap(pendulum(), swings(count=1), cutoff=10.0)
+
+    def law(becomes):
+        effect = SimpleNamespace(becomes=becomes)
+        return replace(A, candidate=SimpleNamespace(effect=effect, place=A.place))
+
+    soft = law(("distance", "lower", "coulomb"))
+    place = "coulomb", (0,)
+    assert at._simpler(soft, []) == [place] == at._simpler(soft, [])
+    assert made == [place]
+    there = replace(A, place=place)
+    assert at._simpler(soft, [there]) == []
+    assert at._simpler(law(None), []) == at._simpler(LAW, []) == []
+    assert at._simpler(law(("x", "lower", "")), []) == []
+    assert at._simpler(law(("x", "lower", "viscous")), []) == []  # left out
+
+
+def test_values_are_reported_for_a_twentieth_of_an_error_at_least():
+    at = Losses()
+    for error, reported in ((0.01, 0.05), (0.05, 0.05), (0.1, 0.1)):
+        at.file_error = error
+        assert at.reported_file_error == reported
+
+
+def test_what_depends_on_the_noise_is_forgotten_with_it():
+    at = Losses()
+    for lower in (False, True):
+        at.noise = SimpleNamespace(lower=lambda rigid, columns, x=lower: x)
+        at.done = []
+        at._set_noise = lambda: at.done.append(1)
+        assert at.update_noise([]) == lower and len(at.done) == lower
+
+
+# --- signals of a servo ---------------------------------------------------------------
+
+
+def commanded(count=2, seconds=6.0, late=0.05, size=1, seed=0):
+    """Logs of swings whose command is the position by some time later."""
+    found = []
+    for k, m in enumerate(swings(size, count=count, seconds=seconds, seed=seed)):
+        ahead = np.stack([np.interp(m.t + late, m.t, x) for x in m.q.T], axis=1)
+        tau = with_torque(m, (), NOISE, k).tau
+        found.append(
+            Recording(m.t + 7.0 * k, m.q, tau=tau, command=ahead, joints=m.joints)
+        )
+    return found
+
+
+def test_signals_of_a_servo_are_those_of_the_samples_of_the_gap():
+    logs = commanded()
+    gap = measure_gap(pendulum(), logs, cutoff=10.0)
+    (log,) = servo_logs(gap, logs)
+    assert (gap.moving[log.row, 0]).all() and (np.diff(log.row) > 0).all()
+    since = gap.sampled.t[log.row] - np.array([0.0, 7.0])[gap.trajectory[log.row]]
+    assert since.min() > 0.2  # before, no earlier command is known
+    weight, q, v, a = log.own.T
+    inner = (since > 0.5) & (since < 5.5)
+    np.testing.assert_allclose(q[inner], gap.sampled.q[log.row, 0][inner], atol=2e-3)
+    # A rod of 2 kg whose centre is at 0.3 m.
+    still = 2.0 * 9.81 * 0.3 * np.sin(gap.sampled.q[log.row, 0])
+    np.testing.assert_allclose(weight[inner], still[inner], atol=0.05)
+    np.testing.assert_allclose(log.torque(log.t), gap.measured[log.row, 0], atol=1e-6)
+    feed, command, speed = log.asked(log.t).T
+    expected = np.concatenate([
+        butterworth(x.command[:, 0], rate=100.0, cutoff=10.0) for x in logs
+    ])  # fmt: skip
+    rows = (
+        np.round(gap.sampled.t[log.row] * 100 - 700 * gap.trajectory[log.row]).astype(
+            int
+        )
+        + gap.trajectory[log.row] * 600
+    )
+    np.testing.assert_allclose(command[inner], expected[rows][inner], atol=0.01)
+    # The command is what the position is 50 ms later, and so is its speed.
+    later = log.asked(log.t - 0.05)
+    np.testing.assert_allclose(later[inner, 1], q[inner], atol=0.01)
+    np.testing.assert_allclose(later[inner, 2], v[inner], atol=0.1)
+    # Logs follow each other without overlap; in each, time is that of its clock.
+    for k in (0, 1):
+        own = gap.trajectory[log.row] == k
+        start = log.t[own] - since[own]
+        np.testing.assert_allclose(start, start[0], atol=1e-9)
+    assert log.t[gap.trajectory[log.row] == 1].min() > 6.0 + 0.2
+    A = log.signals(0.0, 0.0)
+    np.testing.assert_allclose(A[:, 2], command - q)
+    assert (A[:, 6] == 1.0).all() and A.shape[1] == 9
+    # Of the torque a little later, and its slope.
+    B = log.signals(0.0, 0.002)
+    np.testing.assert_allclose((B[:, 7] - A[:, 7]) / 0.002, A[:, 8], atol=25.0)
+    np.testing.assert_allclose(log.drift(0.0)[:, 2], -log.asked(log.t, 1)[:, 1])
+
+
+def test_without_a_command_or_motion_a_servo_tells_nothing():
+    logs = commanded()
+    gap = measure_gap(pendulum(), logs, cutoff=10.0)
+    silent = [replace(x, command=None) for x in logs]
+    assert servo_logs(gap, silent) == [None]
+    half = [logs[0], silent[1]]
+    (log,) = servo_logs(gap, half)
+    assert (gap.trajectory[log.row] == 0).all()
+    second = [silent[0], logs[1]]
+    (log,) = servo_logs(gap, second)
+    assert (gap.trajectory[log.row] == 1).all()
+    few = np.zeros_like(gap.moving)
+    since = gap.sampled.t - np.array([0.0, 7.0])[gap.trajectory]
+    late = np.flatnonzero(since > 0.3)
+    for count, none in ((FEWEST - 1, True), (FEWEST, False)):
+        few[:] = False
+        few[late[:count]] = True
+        (found,) = servo_logs(replace(gap, moving=few), logs)
+        assert (found is None) == none
+
+
+@pytest.mark.parametrize("part", [0.97, 0.99])
+def test_torque_near_its_limit_is_no_law_of_a_servo(part):
+    logs = commanded()
+    gap = measure_gap(pendulum(), logs, cutoff=10.0)
+    most = np.abs(gap.measured[gap.moving[:, 0], 0]).max()
+    tight = replace(gap, robot=replace(pendulum(), tau_max=np.array([most / part])))
+    (log,) = servo_logs(tight, logs)
+    (whole,) = servo_logs(gap, logs)
+    limit = 0.98 * most / part
+    expected = np.abs(gap.measured[whole.row, 0]) <= limit
+    np.testing.assert_array_equal(log.row, whole.row[expected])
+
+
+def test_parts_of_a_servo_s_log_have_its_samples():
+    logs = commanded(seconds=40.0)
+    gap = measure_gap(pendulum(), logs, cutoff=10.0)
+    (log,) = servo_logs(gap, logs)
+    use = np.arange(len(gap.left)) % 3 == 0
+    part = log.only(use)
+    assert (part.row % 3 == 0).all() and len(part.row) == (log.row % 3 == 0).sum()
+    np.testing.assert_array_equal(part.own, log.own[log.row % 3 == 0])
+    step = len(log.row) // 2000
+    assert step == 1 and log.thin.row.tolist() == log.row.tolist()
+    twice = replace(
+        log, row=np.tile(log.row, 2), t=np.tile(log.t, 2), own=np.tile(log.own, (2, 1))
+    )
+    k = len(twice.row) // 2000
+    assert twice.thin.row.tolist() == twice.row[::k].tolist() and k >= 2
+    assert LATENCIES[0] == 0.0 and len(LATENCIES) == 200
+
+
+def test_laws_are_of_every_feed_forward_with_the_speed_of_the_command_or_without():
+    free = list(laws())
+    assert len(free) == 2 * (1 + 2 + 2)
+    assert sum(x.scaled for x in free) == 4
+    assert all(x.columns.shape[1] == (5 if x.scaled else 4) for x in free)
+    given = list(laws(80.0, 5.0))
+    assert len(given) == 10
+    for law in given:
+        assert law.columns.shape[1] == (3 if law.scaled else 2)
+        whole = law.columns[:, 0] if law.scaled else np.eye(9)[7] - law.target
+        assert (whole[2], whole[4]) == (80.0, -5.0) and whole[3] in (0.0, 5.0)
+
+
+# --- the course of a diagnosis --------------------------------------------------------
+
+
+def course(*, doubts=(), healthy=None, verdict="explained", effects=()):
+    """What a diagnosis is asked of in turn, with a case and answers that are stated."""
+    told, asked = [], {}
+    case = SimpleNamespace(
+        as_logged="as logged", gap="gap", recordings="logs", without=("x",),
+        doubts=list(doubts), healthy=healthy,
+    )  # fmt: skip
+
+    @dataclass(frozen=True)
+    class Found:
+        verdict: str
+        noise_floor: tuple = (1.0, 2.0)
+        where: tuple = ()
+
+    @dataclass(frozen=True)
+    class Of:
+        diagnosis: Found
+        effects: tuple
+        account: str = "account"
+        command: tuple = ()
+
+    def link(gap, logs, rng, *, without, distorted):
+        asked.update(gap=gap, without=without, distorted=distorted)
+        return SimpleNamespace(effects=("late",))
+
+    with pytest.MonkeyPatch.context() as m:
+        for name, answer in {
+            "_explained": lambda case, tell, rng: Of(Found(verdict), effects),
+            "locate": lambda gap, floor, rng: (gap, *floor),
+            "command_link": link,
+            "merged_links": lambda d, *rest: replace(d, where=("merged", *d.where)),
+        }.items():
+            m.setattr(diagnose_module, name, answer)
+        m.setattr(_Case, "of", lambda *given: case)
+        found = examine(None, [], progress=lambda *x: told.append(x))
+    return found, told, asked
+
+
+def test_a_diagnosis_measures_explains_locates_and_asks_of_the_command():
+    late = Delay((0,), {"time": 0.01}), TorqueGain((1,), {"gain": 0.1})
+    found, told, asked = course(effects=(*late, Coulomb((0,), {"level": 1.0})))
+    assert found.diagnosis.where == ("merged", "as logged", 1.0, 2.0)
+    assert found.command == ("late",)
+    assert asked == {"gap": "gap", "without": ("x",), "distorted": {0, 1}}
+    assert [x for _, x in told] == [0.0, 0.65, 0.7]
+
+
+def test_nothing_is_asked_of_logs_that_are_not_enough_or_of_a_healthy_model():
+    found, told, asked = course(verdict="not_excited")
+    assert found.diagnosis.where == () and [x for _, x in told] == [0.0]
+    for given in ({"doubts": ["?"]}, {"healthy": "model"}):
+        found, told, asked = course(**given)
+        assert found.diagnosis.where == ("as logged", 1.0, 2.0) and not asked
+        assert found.command == () and len(told) == 2
+
+
+def test_a_case_has_doubts_of_its_motion_and_of_its_simulator(monkeypatch):
+    monkeypatch.setattr(diagnose_module, "too_little_motion", lambda gap: None)
+    monkeypatch.setattr(diagnose_module, "wrong_simulator", lambda gap: f"wrong {gap}")
+    case = _Case([], Convention(), "gap", "gap", (), None)
+    assert case.doubts == ["wrong gap"]
+
+
+# --- rivals ---------------------------------------------------------------------------
+
+
+class Kind:
+    """A term or a candidate of an effect at a joint."""
+
+    def __init__(self, name, joint, apart=None):
+        effect = SimpleNamespace(id=name, told_apart=apart or {})
+        self.effect, self.place = effect, (name, (joint,))
+        self.candidate = self
+
+
+def advised(rivals, plans):
+    """Plans for some pairs, of stated choices; and what was fitted and asked."""
+    fitted, asked = [], []
+
+    def choose(discriminations, joints, both, chosen):
+        asked.append((joints, both, id(chosen)))
+        return plans.pop(0)
+
+    result = SimpleNamespace(
+        search="search", rivals=rivals,
+        gap=SimpleNamespace(robot=SimpleNamespace(joints=("hip", "knee"))),
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as m:
+        m.setattr(
+            advise_module, "fit_rival",
+            lambda search, term, c: fitted.append(c.place) or c.place,
+        )  # fmt: skip
+        m.setattr(advise_module, "choose", choose)
+        m.setattr(advise_module, "_placed", lambda search, plan, both: ("placed", plan))
+        found = list(_between(result, None))
+    return found, fitted, asked
+
+
+def test_each_pair_of_effects_that_explain_as_much_is_told_apart():
+    one, two, there = Kind("a", 0), Kind("b", 0), Kind("c", 1)
+    found, fitted, asked = advised({one: (two, there)}, ["first", "second"])
+    assert found == ["first", ("placed", "second")]
+    assert fitted == [("a", (0,)), ("b", (0,)), ("c", (1,))]  # its own once
+    assert [x for x, _, _ in asked] == [(0,), (0, 1)]
+    assert asked[0][2] == asked[1][2]  # what is chosen for a term is known
+    none, _, _ = advised({one: (two,)}, [None])
+    assert none == []
+
+
+def test_six_pairs_are_told_apart_at_most():
+    one = Kind("a", 0)
+    found, _, asked = advised({one: [Kind(x, 0) for x in "bcdefghij"]}, list(range(9)))
+    assert found == list(range(6)) and len(asked) == 6
+
+
+def test_laws_with_the_same_torque_are_told_apart_by_hand():
+    for first, second in (
+        (Kind("b", 1, {"a": "push {joint}"}), Kind("a", 1)),
+        (Kind("b", 1), Kind("a", 1, {"b": "push {joint}"})),
+    ):
+        (plan,), fitted, asked = advised({first: (second,)}, [])
+        assert plan == Plan(Advice("push knee", ("a", "b"), 0.0)) or (
+            plan.advice == Advice("push knee", ("a", "b"), 0.0)
+        )
+        assert not fitted and not asked and plan.experiment is None
