@@ -782,7 +782,7 @@ def test_squares_are_solved_from_cross_products():
 
 
 def test_values_have_errors_of_their_law_and_times_of_a_sample():
-    gap = SimpleNamespace(motions=[SimpleNamespace(rate=50.0)])
+    gap = SimpleNamespace(period=0.02)
     law = Stribeck((0,), {"level": 2.0, "velocity": 0.3})
     assert _names(law) == ["level", "velocity", "exponent"]
     inexact = [law.inexact.get(x, 0.0) * law.values[x] for x in _names(law)]
