@@ -324,6 +324,22 @@ def test_a_change_of_sign_is_taken_whole_and_costs_no_width():
     assert ("sign", 1) not in moves(*sharp(weak, resting=True)[:3])
 
 
+@pytest.mark.parametrize("name", ["lower", "upper"])
+def test_a_stop_is_sought_where_the_log_ends_and_not_on_the_way_there(name):
+    """It failed: a stop on the way has no effect, from which no fit finds the end."""
+    made, _, _, noise = sharp(FILE, resting=True)
+    way = {"lower": -1.0, "upper": 1.0}[name]
+    (command,) = (x.command for x in made.stretches)
+    end = way * (way * command).max(axis=0) - 0.01 * way  # it was asked to go further
+    k, short = NAMES.index(name), 0.8
+    truth = FILE.at(**{name: FILE[name] + short * (end - FILE[name])})
+    made = replace(problem(truth), reached=np.array([end, end]))
+    found = made.at(FILE.coordinates, np.zeros_like(FREE))
+    told = moves(made, found, Curvature.of(made, found, noise))
+    for j in (0, 1):
+        assert told[name, j].x[k, j] == pytest.approx(end[j], rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("right", "wrong"),
     [

@@ -18,7 +18,8 @@ from hybrid.servo.evidence import COST, Curvature
 from hybrid.servo.problem import SHARED, Estimate, Problem
 
 _LARGEST = 1.5  # largest extrapolation, in changes of a probe
-_WHOLE = ("sign", "ground")  # not linear: only the whole change makes sense
+# Not linear, and without effect until it is reached: only the whole change makes sense.
+_WHOLE = ("sign", "ground", "lower", "upper")
 _DEEPER = (0.0, 0.01, 0.02)  # m: links are no balls and touch higher or lower
 
 
