@@ -465,3 +465,15 @@ def test_arrays_of_hdf5_without_a_clock_or_a_rate_are_refused(tmp_path):
             file[name] = np.arange(200.0)
     with pytest.raises(RecordingError, match="no column of time"):
         read(tmp_path / "log.h5")
+
+
+@pytest.mark.parametrize("count", [2, 6, 7])
+def test_several_recordings_are_named_up_to_six_where_one_is_asked_for(tmp_path, count):
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for k in range(count):
+            for name in ("t", "q1", "tau1"):
+                file[f"demo_{k}/{name}"] = np.arange(20.0)
+    with pytest.raises(RecordingError) as caught:
+        read(tmp_path / "log.h5")
+    assert f": {count} recordings (demo_0, demo_1" in str(caught.value)
+    assert (" ...) where" in str(caught.value)) == (count > 6)
