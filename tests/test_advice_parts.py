@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pendulum import gap_of, pendulum
 
+from hybrid.diagnosis.advice import separation
 from hybrid.diagnosis.advice.advise import (
     Discriminations,
     Plan,
@@ -35,6 +36,9 @@ from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
+from hybrid.effects.encoder_eccentricity import EncoderEccentricity
+from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ExcitationError, HybridError
@@ -394,6 +398,37 @@ def test_long_waves_are_tried_besides_those_that_a_search_tried():
     assert found[:2] == [plain, wave] and len(found) == 8
     assert [c.effect.values["periods"] for c in found[2:]] == [1, 2, 3, 4, 5, 6]
     assert all(c.std is wave.std for c in found[2:])
+
+
+@pytest.mark.parametrize(
+    ("effect", "moves"),
+    [
+        (TorqueGain((0,), {"gain": 0.1}), True),
+        (Delay((0,)), True),
+        (Delay((0,), {"time": 0.01}), False),
+        (Coulomb((0,)), False),
+        (EncoderEccentricity((0,)), False),
+    ],
+)
+def test_one_gain_is_iterated_where_the_torque_is_linear_near_it_only(
+    effect, moves, monkeypatch
+):
+    """A time that is known already was scanned, and two gains are fitted as they are.
+
+    The evidence is made up: each time it asks for a larger gain and counts one more.
+    """
+    seen = []
+
+    def evidence(data, c):
+        seen.append(c.effect)
+        return float(len(seen)), np.array([1e-4 * len(seen)])
+
+    monkeypatch.setattr(separation, "fit_shapes", lambda start, *_: (start, 0.0))
+    view = Discrimination([], None, SimpleNamespace(gap=gap_of()))
+    monkeypatch.setattr(view, "_evidence_at", evidence)
+    found = view._best_evidence(None, candidate(gap_of(), effect))
+    assert found == len(seen) == (1 + separation._ITERATIONS if moves else 1)
+    assert (len({tuple(x.values.values()) for x in seen}) > 2) == moves
 
 
 # --- the choice -----------------------------------------------------------------------

@@ -7,6 +7,7 @@ import pytest
 from logs import ARM, START, Messages, bag, states, truth
 from rosbags.rosbag2 import StoragePlugin
 
+from hybrid.errors import HybridWarning
 from hybrid.recording import build, read
 from hybrid.recording.formats import stream
 from hybrid.recording.formats.stream import Stream
@@ -93,3 +94,19 @@ def test_chunks_of_images_alone_are_never_unpacked(tmp_path):
     data[start + 1000 : start + length] = bytes(length - 1000)
     (tmp_path / "log.mcap").write_bytes(data)
     assert np.allclose(read(tmp_path / "log.mcap", joints=ARM).q, truth().q)
+
+
+def test_columns_that_are_ignored_are_told_for_the_chosen_stream_alone():
+    t = np.arange(20.0)
+
+    def stream(name, *labels):
+        return LogTable(
+            "bag", ("time", *labels), lambda used: [{k: t + k for k in used}],
+            name=name,
+        )  # fmt: skip
+
+    full = stream("/full", "q1", "tau1", "hum")
+    bare = stream("/bare", "q1", "humidity")
+    with pytest.warns(HybridWarning) as warned:
+        recording_of((bare, full))
+    assert [str(x.message) for x in warned] == ["bag (/full): ignored columns: hum"]

@@ -101,3 +101,12 @@ def test_arrays_of_other_shapes_are_refused():
         Measurements(q, np.zeros((4, 1, 3)), np.zeros((4, 3)))
     with pytest.raises(CalibrationError, match="an orientation goes with one point"):
         Measurements(q, np.zeros((4, 2, 3)), np.zeros((4, 3, 3)))
+
+
+def test_only_a_quaternion_of_length_zero_is_refused(tmp_path):
+    header = "q1,q2,x,y,z,qx,qy,qz,qw"
+    data = read(tmp_path, header, "0,0,1,2,3,0,0,0,1", "0,0,1,2,3,0,0,0,-2")
+    np.testing.assert_allclose(data.rotation, [np.eye(3)] * 2, atol=1e-15)
+    good = ["0,0,1,2,3,.5,.5,.5,.5"] * 2
+    with pytest.raises(CalibrationError, match="quaternion of length zero"):
+        read(tmp_path, header, *good, "0,0,1,2,3,0,0,0,0")

@@ -607,3 +607,10 @@ def test_flags_tell_a_fit_how_to_treat_an_effect():
         "elasticity": {"compliance": 0.05, "damping": 0.5},
         "controller_gain": {"damping": 0.03, "stiffness": 0.001},
     }
+
+
+def test_an_effect_of_a_joint_has_one_and_others_have_some():
+    with pytest.raises(EffectError, match="coulomb acts on one joint, not 2"):
+        effect_class("coulomb")((0, 1))
+    with pytest.raises(EffectError, match="coupling acts on at least one joint, not 0"):
+        effect_class("transmission_coupling")(())

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pendulum import gap_of, pendulum, swings
 
+from hybrid.diagnosis.evidence import noise_model
 from hybrid.diagnosis.evidence.candidates import (
     Candidate,
     Term,
@@ -37,6 +38,7 @@ from hybrid.diagnosis.evidence.noise import (
 from hybrid.diagnosis.evidence.noise_model import (
     NoiseModel,
     _dimensions,
+    _flexible,
     _least_noise,
     _ridge,
     estimate_noise,
@@ -656,3 +658,23 @@ def test_gains_of_a_kept_evidence_are_of_its_columns():
         solved.gains[0] ** 2 / 4.0
     )
     assert evidence.add([], []) == []
+
+
+def test_a_flexible_fit_leaves_more_than_it_shows_by_its_degrees_of_freedom(
+    monkeypatch,
+):
+    """Of orthonormal columns a ridge takes 1/(1 + ridge) of a degree each."""
+    monkeypatch.setattr(noise_model, "_RIDGES", (0.25,))
+    rng = np.random.default_rng(0)
+    columns = np.linalg.qr(rng.normal(size=(40, 5)))[0].T
+    gap = rng.normal(size=40)
+    evidence = SimpleNamespace(
+        columns_at=lambda *_: columns,
+        left=[gap],
+        fold_edges=lambda _: [(0, 20), (20, 40)],
+        rows=[np.arange(40)],
+        gap=SimpleNamespace(cutoff=25.0, rate=100.0),
+    )
+    left, _, _ = _flexible(evidence, 0, np.arange(5))
+    shown = gap - columns.T @ (columns @ gap) / 1.25
+    np.testing.assert_allclose(left, shown / (1.0 - (5 / 1.25) / 20.0), rtol=1e-9)

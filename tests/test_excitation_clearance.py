@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS, public_arm
+from pendulum import pendulum
 
 from hybrid.dynamics.kinematics import frames
 from hybrid.errors import ExcitationError, HybridWarning, RobotError
@@ -27,7 +28,7 @@ from hybrid.excitation.constraints import TorqueLimits
 from hybrid.excitation.path import Path, uniform
 from hybrid.robot import Robot
 from hybrid.robot.chain import zero_frames
-from hybrid.robot.geometry import capsules_from_robot
+from hybrid.robot.geometry import Capsules, capsules_from_robot
 
 COMAN = Robot.load(MODELS / "coman_like.xml")
 
@@ -296,3 +297,16 @@ def test_a_robot_without_geometry_cannot_be_checked(tmp_path):
     robot = Robot.load(tmp_path / "bare.xml")
     with pytest.raises(RobotError, match="no collision geometry"):
         capsules_from_robot(robot)
+
+
+def test_only_links_that_are_no_neighbours_are_kept_apart(monkeypatch):
+    """Neighbours share a joint, however far from it their shapes are."""
+    robot = pendulum(3)
+    middle = np.tile([0.0, 0.0, -0.3], (4, 2, 1))
+    middle[0] = 0.0, 0.0, 0.3  # of the base
+    capsules = Capsules(np.arange(-1, 3), middle, np.full(4, 0.05), tuple("abcd"))
+    monkeypatch.setattr(
+        "hybrid.excitation.clearance.capsules_from_robot", lambda _: capsules
+    )
+    kept = Clearance.of(robot, Limits.of(robot))
+    assert kept.pairs.tolist() == [[-1, 1], [-1, 2], [0, 2]]

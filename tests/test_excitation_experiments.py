@@ -135,3 +135,13 @@ def test_weak_drives_are_refused_before_anything_moves():
     weak = replace(COMAN, tau_max=np.full(6, 0.5))
     with pytest.raises(ExcitationError, match="torque"):
         multisine(weak, seed=np.random.default_rng(0))
+
+
+def test_a_ladder_reaches_each_speed_where_a_fifth_of_a_ramp_is_left():
+    """A ramp up and one down take the way of one at full speed; one lasts 0.35 s."""
+    short = speed_ladder(COMAN, "elbow", longest=0.1)
+    j = COMAN.joint_index("elbow")
+    fastest = 0.9 * Limits.of(COMAN).speed[j]
+    assert np.abs(short.v[:, j]).max() == pytest.approx(fastest)
+    with pytest.raises(ExcitationError, match="are needed to reach"):
+        speed_ladder(COMAN, "elbow", longest=0.05)

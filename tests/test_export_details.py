@@ -411,3 +411,11 @@ def test_a_shape_that_does_not_fit_the_arm_is_refused():
     assert fast.predict(one, one, one).shape == (1, 2)
     with pytest.raises(HybridError, match="valid is"):
         fast.predict(one, one[0], one)
+
+
+def test_the_example_of_an_arm_without_limits_is_within_one_radian(tmp_path):
+    export(model_of(unlimited(planar())), tmp_path, format="c")
+    expected = np.random.default_rng(0).uniform(-1.0, 1.0, 2)
+    text = (tmp_path / "example.c").read_text()
+    for x in expected.tolist():
+        assert c_number(x, "PLANAR") in text

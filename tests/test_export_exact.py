@@ -3,6 +3,7 @@
 import sys
 import types
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hybrid.dynamics.tape import Tape
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.delay import Delay
 from hybrid.effects.spring import Spring
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.threshold_friction import ThresholdFriction
@@ -22,6 +24,8 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.exports.onnx_graph import onnx_model
 from hybrid.exports.program import Program, program_from_model
+from hybrid.exports.simulator import model as simulator_model
+from hybrid.exports.simulator.check import file_torque, gaps
 from hybrid.exports.simulator.friction import (
     approximate_friction,
     curve,
@@ -37,6 +41,7 @@ from hybrid.exports.simulator.model import (
 from hybrid.exports.simulator.plan import plan
 from hybrid.exports.simulator.ranges import Ranges, ranges
 from hybrid.exports.simulator.snippets import isaac_events, isaac_lab, mjx, mjx_notes
+from hybrid.model.effect_torque import effect_torque
 
 
 def operations() -> Program:
@@ -353,3 +358,43 @@ def test_intervals_are_those_of_the_draws():
     np.testing.assert_allclose(
         [found.low[k], found.high[k]], np.percentile(own, [2.5, 97.5])
     )
+
+
+def test_a_simulator_is_compared_while_a_joint_moves_and_the_log_counts():
+    robot, (log,) = pendulum(2), swings(2, count=1, seconds=1.0)
+    v = np.where(np.arange(len(log.t))[:, None] < 40, 0.01, 1.0) * [1.0, -1.0]
+    mask = np.arange(len(log.t)) < 90
+    error = np.where(np.abs(v) > 0.1, [0.3, 0.4], 7.0)
+    error[~mask] = 9.0
+    exact = file_torque(robot, SimpleNamespace(robot=robot), replace(log, v=v))
+    motion = replace(log, v=v, mask=mask, tau=exact + error)
+    model = SimpleNamespace(
+        robot=robot, standing=np.full(2, 0.1), predict=lambda m: m.tau - 2.0 * error
+    )
+    found = gaps(model, robot, [motion])
+    for name in ("as it was", "exported"):
+        np.testing.assert_allclose(found[name], [0.3, 0.4], rtol=1e-9)
+    np.testing.assert_allclose(found["model"], [0.6, 0.8], rtol=1e-9)
+
+
+def test_friction_is_written_for_the_speeds_of_the_motions_that_are_given(monkeypatch):
+    given = []
+    monkeypatch.setattr(
+        simulator_model,
+        "build_simulator",
+        lambda *_, motions, **__: given.append(motions),
+    )
+    model, logs = model_of(pendulum(2)), swings(2, count=2, seconds=1.0)
+    model_simulator(model, motions=logs)
+    model_simulator(model)
+    assert given[0] is logs
+    (usual,) = given[1]
+    np.testing.assert_array_equal(usual.v, usual_motion(model).v)
+
+
+def test_without_laws_of_one_instant_nothing_is_compiled():
+    chain, turn = pendulum(2).chain, Viscous((0,), {"coefficient": 0.6})
+    assert effect_torque(chain, []).law is None
+    late = Delay((0,), {"time": 0.01})
+    assert effect_torque(chain, [late]).law is None
+    assert effect_torque(chain, [late, turn]).law is not None

@@ -195,6 +195,31 @@ def test_friction_with_load_is_that_of_the_load_behind_the_ripple(tmp_path):
     np.testing.assert_allclose(data.qacc, motion.a[0], atol=1e-6)
 
 
+def test_bristles_of_a_file_push_nothing_beside_the_callback(tmp_path):
+    """Neither by their level nor by their damping, whatever the file gives them."""
+    bristles = (
+        "<dcmotor joint='elbow' input='none' motorconst='0' resistance='1' "
+        "lugre='1e4 3.0 0.5 0.9 0.2'/>"
+    )
+    text = (MODELS / "planar.xml").read_text()
+    text = text.replace("</actuator>", f"{bristles}</actuator>")
+    (tmp_path / "arm.xml").write_text(text)
+    model = model_of(quiet(Robot.load, tmp_path / "arm.xml")[0])
+    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    data = mujoco.MjData(mj)
+    data.qvel[1] = 0.1
+
+    def push():
+        mujoco.mj_forward(mj, data)
+        return data.actuator_force[-1]
+
+    before = push()
+    added = install(mj, data, model)
+    assert abs(push()) < 1e-9 < 1e-3 < abs(before)
+    added.remove()
+    assert push() == before
+
+
 def test_the_callback_is_gone_when_it_is_removed(tmp_path):
     model, _ = true_model()
     export(model, tmp_path, format="mjcf")

@@ -1,5 +1,8 @@
 """Statistics of a fleet by their formulas, and the logs of a plan by their dates."""
 
+import json
+import subprocess
+import sys
 from datetime import date
 
 import numpy as np
@@ -286,3 +289,23 @@ def test_a_unit_is_known_by_all_of_its_inputs():
     other = Unit("a", "2026-W01", "2026-01-01", (("x.csv", "other"),), {"robot": "r"})
     entry = Unit("a", "2026-W01", "2026-01-01", (("x.csv", "stamp"),), {"robot": "s"})
     assert len({own.key, other.key, entry.key}) == 3
+
+
+def test_a_question_that_fails_is_answered_and_the_next_one_too():
+    code = (
+        "from hybrid.fleets.serving import serve\n"
+        "serve(lambda asked: {'is': 1 // asked['by']})"
+    )
+    done = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        text=True,
+    )  # fmt: skip
+    with done:
+        told = [json.loads(done.stdout.readline())]
+        for by in (0, 1):
+            done.stdin.write(json.dumps({"by": by}) + "\n")
+            done.stdin.flush()
+            told.append(json.loads(done.stdout.readline() or "null"))
+    ready, failed, right = told
+    assert ready == {} and right == {"is": 1}
+    assert failed["reason"].startswith("ZeroDivisionError: ")

@@ -3,6 +3,7 @@
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -13,10 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pyarrow import parquet
+from rosbags.interfaces import MessageDefinitionFormat
 
 from hybrid.errors import HybridError, HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, recording_from_table, write
 from hybrid.recording.formats.csv import read_csv
+from hybrid.recording.formats.ros import _defined, _frame_size
 from hybrid.recording.labels import parse_label
 
 # import_module, because the package exports the function of the same name
@@ -419,3 +422,58 @@ def test_a_frame_of_pandas_may_have_zones_and_lists():
     ragged = pd.DataFrame(lists | {"q": [[1.0], [3.0, 4.0]]})
     with pytest.raises(RecordingError, match="lists of 'q' of many lengths"):
         recording_from_table(ragged)
+
+
+def test_the_longest_name_of_a_joint_in_a_label_is_meant():
+    both = ("arm", "left arm")
+    for joints in (both, both[::-1]):
+        assert parse_label("left arm/position", joints).joint == "left arm"
+        assert parse_label("arm/position", joints).joint == "arm"
+
+
+def test_a_frame_states_its_unpacked_size_as_rfc_8878_says():
+    """Sizes below 256, of two bytes and 256 more, of four and of eight bytes."""
+    magic = b"\x28\xb5\x2f\xfd"
+    for flags, window, size, data in (
+        (0x20, b"", 200, (200).to_bytes(1, "little")),
+        (0x60, b"", 1000, (1000 - 256).to_bytes(2, "little")),
+        (0x40, b"\x10", 65000, (65000 - 256).to_bytes(2, "little")),
+        (0xA0, b"", 70_000, (70_000).to_bytes(4, "little")),
+        (0xC1, b"\x10\x07", 2**40, (2**40).to_bytes(8, "little")),
+        (0x00, b"\x10", 0, b""),
+    ):
+        frame = magic + bytes([flags]) + window + data
+        assert _frame_size(frame + b"\xff" * 9) == size
+    assert _frame_size(b"no frame of zstandard") == 0
+
+
+def test_a_type_that_a_bag_defines_in_idl_is_read_below_its_heading():
+    text = (
+        "=" * 80 + "\nIDL: my_msgs/msg/Joint\n"
+        "module my_msgs { module msg { struct Joint {\n"
+        "  double angle;\n  sequence<double> torque;\n}; }; };\n"
+    )
+    kind = "my_msgs/msg/Joint"
+    definition = SimpleNamespace(format=MessageDefinitionFormat.IDL, data=text)
+    types = _defined(SimpleNamespace(msgdef=definition, msgtype=kind))
+    assert [name for name, _ in types[kind][1]] == ["angle", "torque"]
+
+
+def test_arrays_of_hdf5_without_a_clock_or_a_rate_are_refused(tmp_path):
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name in ("q1", "tau1"):
+            file[name] = np.arange(200.0)
+    with pytest.raises(RecordingError, match="no column of time"):
+        read(tmp_path / "log.h5")
+
+
+@pytest.mark.parametrize("count", [2, 6, 7])
+def test_several_recordings_are_named_up_to_six_where_one_is_asked_for(tmp_path, count):
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for k in range(count):
+            for name in ("t", "q1", "tau1"):
+                file[f"demo_{k}/{name}"] = np.arange(20.0)
+    with pytest.raises(RecordingError) as caught:
+        read(tmp_path / "log.h5")
+    assert f": {count} recordings (demo_0, demo_1" in str(caught.value)
+    assert (" ...) where" in str(caught.value)) == (count > 6)

@@ -1,6 +1,8 @@
 """Parts of the identification by themselves, on made-up numbers."""
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +12,12 @@ from pendulum import RATE, pendulum, swings, with_torque
 
 from hybrid.effects import JointState
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.spring import Spring
+from hybrid.effects.viscous import Viscous
 from hybrid.identification.consistency import physically_consistent
 from hybrid.identification.data import check_torque, fastest, visited
 from hybrid.identification.friction import fit_friction
+from hybrid.identification.identification import Identification
 from hybrid.identification.partial_regression import PartialRegression, _Sums
 from hybrid.identification.preparation import (
     decimated_motion,
@@ -25,7 +30,7 @@ from hybrid.identification.remainder import _candidates
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.least_squares import pseudo_solve
-from hybrid.regression.prior import link_std
+from hybrid.regression.prior import _UNKNOWN_SIZE, link_std
 from hybrid.regression.problem import build_problem
 
 seeds = st.integers(0, 10_000)
@@ -301,3 +306,32 @@ def test_link_parameters_are_as_unsure_as_their_unit_and_size_say():
     np.testing.assert_allclose(size, size[:, :1] * np.ones(3))
     np.testing.assert_allclose(inertia, mass[:, None] * size[:, :1] ** 2 * np.ones(6))
     assert (0.1 < size).all() and (size < 1.0).all() and (mass >= 2.0).all()
+
+
+def test_friction_that_the_user_gave_is_replaced_at_no_joint_of_its_own():
+    stage = SimpleNamespace(extra=(Coulomb((0,)),))
+    may = partial(Identification._is_friction, stage)
+    assert not may(Coulomb((0,)))
+    assert may(Coulomb((1,)))
+    assert may(Viscous((0,)))
+    assert not may(Spring((1,)))
+
+
+def test_friction_is_fitted_again_until_a_round_gains_nothing():
+    costs = iter([8.0, 5.0, 5.0, 4.0, 3.0])
+    start = SimpleNamespace(squares=9.0)
+    stage = SimpleNamespace(best=start, solver=SimpleNamespace(cost=float))
+    stage._friction_candidates = lambda _: {}
+    stage._accepted = lambda *_: SimpleNamespace(squares=next(costs))
+    stage._adopt = lambda found: setattr(stage, "best", found)
+    Identification.friction_stage(stage)
+    assert stage.best.squares == 5.0 and next(costs) == 4.0
+
+
+def test_a_link_of_unknown_size_at_the_base_is_as_unsure_as_one_of_a_metre():
+    robot = pendulum(1)
+    point = replace(robot.chain, inertial=np.array([[2.0] + 9 * [0.0]]))
+    std = link_std(point)[0]
+    np.testing.assert_allclose(std[1:4] / std[0], _UNKNOWN_SIZE)
+    np.testing.assert_allclose(std[4:] / std[0], _UNKNOWN_SIZE**2)
+    assert std[0] > 2.0

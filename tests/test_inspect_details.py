@@ -385,3 +385,17 @@ def test_a_glitch_is_told_with_the_positions_beside_it(sign):
     (doubt,) = [d for d in doubts_of_rows(log(x)) if "glitch" in d.text]
     beside = f"{x[200]:.6g} between {x[199]:.6g} and {x[201]:.6g}, the first of 1"
     assert beside in doubt.text and x[199] != x[201] and "row 201" in doubt.line
+
+
+def test_glitches_are_told_apart_from_seven_rows_on_and_are_no_jumps():
+    """The bend of one reaches five rows to the bend of another."""
+    (both,) = doubts_of_rows(log(moved([200, 207], 0.3)))
+    assert "glitch: " in both.text and "the first of 2" in both.text
+    (one,) = doubts_of_rows(log(moved(200, 0.3)))
+    assert "glitch: " in one.text
+
+
+def test_a_way_of_two_steps_is_no_jump():
+    x = moved(200, 0.4)
+    x[201:] += 0.8
+    assert list(doubts_of_rows(log(x))) == []

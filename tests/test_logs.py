@@ -280,6 +280,7 @@ def test_a_map_is_a_file_a_preset_or_a_dict(tmp_path):
     ("content", "message"),
     [
         ({"Q": "a"}, "unknown key 'Q'; valid are preset, joints"),
+        ({"Q": "a", "q": "q{}", "V": "b"}, "unknown key 'Q'; valid are preset, joints"),
         ({"preset": "kuka"}, "unknown preset 'kuka'; valid are ur_rtde"),
         ({"q": 3}, "q is 3; valid are a label with {}"),
         ({"q": {"unit": "kg"}}, "unit 'kg' is none of rad or m; valid are"),

@@ -16,11 +16,13 @@ from hypothesis import strategies as st
 
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.effects import Scale
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ModelFileError, RobotError
 from hybrid.identification import DynamicModel
 from hybrid.model.model_file import SCHEMA
+from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -291,3 +293,43 @@ def test_a_robot_without_sense_is_refused():
     ):
         with pytest.raises(RobotError):
             Robot.from_dict(content | change)
+
+
+def test_an_array_of_one_number_comes_back():
+    text = model_file._packed({"x": np.array(1.5)})["x"]
+    assert model_file._unpacked("x", text) == np.array(1.5)
+
+
+def test_an_arm_has_ten_parameters_of_each_link_and_more(saved):
+    base = json.loads(saved.read_text("utf-8"))["base"]
+    for count in (19, 20):
+        content = base | {
+            "labels": base["labels"][:count],
+            "units": base["units"][:count],
+            "kept": list(range(count)),
+            "mapping": packed(np.eye(count), (count, count)),
+            "values": [1.0] * count,
+        }
+        robot = some_model().robot
+        if count == 20:
+            assert model_file._base(robot, content).size == 20
+            continue
+        with pytest.raises(ModelFileError, match="have 19 labels and 19 units"):
+            model_file._base(robot, content)
+
+
+@pytest.mark.parametrize("share", [0.9995, 1.0005])
+def test_a_parameter_is_within_a_thousand_times_its_largest_plausible_value(
+    saved, share
+):
+    model = some_model()
+    scale = joint_scales(model.robot)[0]
+    scale = Scale(max(scale.torque, 1.0), max(scale.speed, 1.0))
+    most = 1000.0 * Viscous.gains[0].scaled(scale).upper
+    keys = ("effects", 0, "values", "coefficient")
+    change_json(saved, keys, share * most)
+    if share > 1.0:
+        assert f"valid is up to {most:g}" in refused(saved)
+    else:
+        loaded = DynamicModel.load(saved).effects[0]
+        assert loaded.values["coefficient"] == pytest.approx(share * most)

@@ -40,6 +40,7 @@ from hybrid.plant.joint_fields import (
 from hybrid.plant.laws import Laws
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.noise import rated_torque
+from hybrid.plant.plant import _ratio
 from hybrid.plant.reference import limits
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.plant.servo import Servo
@@ -486,3 +487,27 @@ def test_inverse_dynamics_of_a_file_has_all_its_friction_in_steady_sliding(tmp_p
     expected += (0.3 + level) * np.sign(v)
     fast = np.abs(v[:, 0]) > 0.05
     np.testing.assert_allclose(found[fast], expected[fast], atol=1e-3)
+
+
+@pytest.mark.parametrize("step", [-0.001, 0.0, 9e-7, 0.011])
+def test_a_step_is_from_a_microsecond_to_ten_milliseconds(step):
+    with pytest.raises(HybridError, match="valid is 1e-6 to 0.01 s"):
+        build_arm(pendulum(1), [], step=step, integrator="euler")
+    for valid in (1e-6, 0.01):
+        arm = build_arm(pendulum(1), [], step=valid, integrator="euler")
+        assert arm.model.opt.timestep == valid
+
+
+def test_a_rate_divides_another_however_slow_it_is():
+    for slower in (0.5, 1.0, 2.0, 10.0):
+        _ratio("log_rate", 10.0, slower)
+    for slower in (0.0, -10.0, 0.3, 20.0):
+        with pytest.raises(HybridError, match=f"log_rate is {slower:g} Hz, 10 Hz div"):
+            _ratio("log_rate", 10.0, slower)
+
+
+def test_a_simulation_starts_at_time_zero_unless_told():
+    arm = build_arm(pendulum(1), [], step=0.001, integrator="euler")
+    for options, start in (({}, 0.0), ({"time": 3.0}, 3.0)):
+        made = Lockstep(arm, [], np.zeros((2, 1)), **options)
+        assert [data.time for data in made._datas] == [start] * 2

@@ -232,3 +232,11 @@ def test_what_names_begin_with_ends_at_a_separator():
     assert _prefix(["left/elbow", "left/wrist"]) == "left/"
     assert _prefix(["shoulder_1", "should_2"]) == ""
     assert _prefix(["alone_1"]) == ""
+
+
+def test_a_resampled_clock_is_told_by_its_samples_and_rate():
+    t = np.arange(101) / 50.0
+    t[30] += 0.004
+    recording = Recording(t=t, q=np.sin(t)[:, None], tau=np.cos(t)[:, None])
+    with pytest.warns(HybridWarning, match="2 of 100 steps .* 101 samples at 50 Hz$"):
+        resample(recording)

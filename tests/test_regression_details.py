@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from simulated import arm, linear_problem, motions, stacked, with_torque
 
+from hybrid.regression import intervals
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import solve
-from hybrid.regression.least_squares import residual_covariance
+from hybrid.regression.least_squares import pseudo_solve, residual_covariance
 
 
 def products_of(noise, seconds=20.0):
@@ -86,3 +87,24 @@ def test_how_often_weights_are_renewed_depends_on_the_estimator():
     assert once.converged and twice.converged and many.converged
     np.testing.assert_array_equal(once.weight, np.eye(2))
     assert not twice.weight[0, 1] and many.weight[0, 1]
+
+
+@pytest.mark.parametrize("count", [20, 40])
+def test_a_covariance_is_that_of_solutions_without_a_block_each(count, monkeypatch):
+    """Efron and Stein 1981: (B − 1)/B of the squares about the mean solution.
+
+    The correlation of blocks is taken as none.
+    """
+    monkeypatch.setattr(intervals, "_variance_inflation", lambda *_: 1.0)
+    every, _ = products_of(white)
+    few = replace(every, blocks=every.blocks[:count], counts=every.counts[:count])
+    found = solve(few, "ls")
+    A, b = few.normal(np.eye(2), few.blocks)
+    without = [
+        pseudo_solve(A.sum(axis=0) - A[k], b.sum(axis=0) - b[k]) for k in range(count)
+    ]
+    expected = (count - 1) ** 2 / count * np.cov(np.transpose(without))
+    told = A.sum(axis=0)  # nothing of what the data leave open
+    found_, expected = (told @ x @ told for x in (found.covariance, expected))
+    np.testing.assert_allclose(found_, expected, atol=1e-4 * expected.max())
+    assert found.degrees == count - 1

@@ -531,3 +531,19 @@ def test_springs_and_curves_of_a_file_are_identified_and_exported(tmp_path):
     np.testing.assert_allclose(friction, declared, atol=0.1)
     left = model_simulator(fit.model, kind="urdf").notes
     assert [x.split()[0] for x in left].count("spring") == 2
+
+
+def test_a_refusal_names_the_file_or_else_the_arm(tmp_path):
+    text = REFUSED["equality 'pair'"].replace("<mujoco>", "<mujoco model='two'>")
+    assert refusal(text).startswith("two: equality 'pair' acts")
+    path = saved(tmp_path, text, "arm.xml")
+    with pytest.raises(RobotError) as caught:
+        Robot.load(path)
+    assert str(caught.value).startswith(f"{path}: equality 'pair' acts")
+
+
+def test_a_name_of_mjcf_that_is_not_utf_8_is_refused_with_its_file(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_bytes(mjcf().replace("'lower'", "'l\xf6wer'").encode("latin-1"))
+    with pytest.raises(RobotError, match="arm.xml: .*not UTF-8"):
+        Robot.load(path)

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hybrid.errors import RobotError
 from hybrid.recording.units import converted, fits, seconds
-from hybrid.robot.build import simulable
+from hybrid.robot.build import _set_inertia, simulable
 from hybrid.robot.edit.drives import _edit, actuator_tags
 from hybrid.robot.edit.urdf_from_mjcf import _Writer
 from hybrid.robot.geometry import (
@@ -23,6 +24,7 @@ from hybrid.robot.geometry import (
     _segment,
     _urdf_points,
 )
+from hybrid.robot.spatial import inertia_fault
 
 # --- capsules -------------------------------------------------------------------------
 
@@ -295,3 +297,22 @@ def test_clocks_are_in_seconds_by_their_unit_or_by_their_size():
     assert exact.tolist() == [1 / 1000, 3 / 1000]
     minutes, _ = seconds(np.array([2.0]), "min")
     assert minutes.tolist() == [120.0]
+
+
+def test_a_light_link_may_have_a_moment_of_a_millionth_below_zero():
+    """A heavier one has it per kilogram."""
+    for mass, least in ((0.5, -1e-6), (3.0, -3e-6)):
+        for share, valid in ((0.9, True), (1.1, False)):
+            body = mujoco.MjSpec().worldbody.add_body()
+            link = np.array([mass, 0, 0, 0, share * least, 0, 0.1, 0, 0, 0.1])
+            if valid:
+                _set_inertia(body, link, "tip")
+                assert body.mass == mass
+                continue
+            with pytest.raises(RobotError, match="link 'tip' has no physical inertia"):
+                _set_inertia(body, link, "tip")
+
+
+def test_an_inertia_that_is_no_number_has_three_moments_that_are_none():
+    text = inertia_fault(1.0, np.full((3, 3), np.nan))
+    assert "(mass 1 kg, moments nan, nan, nan kg·m²)" in text

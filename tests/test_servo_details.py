@@ -1,6 +1,7 @@
 """Parts of the fit of servos, each against a formula or a law worked out here."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -12,7 +13,8 @@ from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
-from hybrid.servo.fit import _notes, _problem, _unsaid, fit_servo
+from hybrid.servo.evidence import Explanation
+from hybrid.servo.fit import _notes, _problem, _result, _unsaid, fit_servo
 from hybrid.servo.model import (
     bristles,
     dampings,
@@ -24,7 +26,7 @@ from hybrid.servo.model import (
 )
 from hybrid.servo.moves import probed
 from hybrid.servo.noise import Noise, inexactness, resolution, usual_error
-from hybrid.servo.problem import Problem
+from hybrid.servo.problem import Estimate, Problem
 from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
 from hybrid.servo.start import best_start, first_guess
@@ -714,3 +716,39 @@ def test_a_file_of_which_every_number_is_right_is_only_replayed():
     assert fit.findings == () and not fit.std.any()
     np.testing.assert_allclose(fit.drive.values, FILE.values, rtol=1e-12)
     np.testing.assert_allclose(fit.after, fit.plain)
+
+
+def test_a_result_holds_the_servos_of_the_plain_fit_and_those_found_and_written(
+    monkeypatch,
+):
+    def moved(by):
+        free = np.zeros(FILE.values.shape, dtype=bool)
+        return Explanation(
+            Estimate(FILE.coordinates + by, free, np.zeros((5, 2))), free
+        )
+
+    def replayed(simulator, stretches, drives):
+        return [np.full(2, -1.0 if x is None else stiffness(x)) for x in drives]
+
+    def stiffness(drive):
+        return float(drive["stiffness"][0])
+
+    plain, found, written = map(moved, (0.1, 0.2, 0.3))
+    for name, stub in (("_written", lambda *_: written), ("missed", replayed),
+                       ("_findings", lambda *_: ())):  # fmt: skip
+        monkeypatch.setattr(f"hybrid.servo.fit.{name}", stub)
+    problem = SimpleNamespace(
+        at=lambda x, free: Estimate(x, free, np.zeros((5, 2))),
+        fitted=lambda start, *_: start,
+        covariance=lambda *_: np.zeros((0, 0)),
+        simulator=None, prior=FILE, stretches=[], resting=np.zeros(2, dtype=bool),
+    )  # fmt: skip
+    still = Stretch(STEP, np.zeros((9, 2)), np.zeros((9, 2)), np.zeros(2), source="log")
+    search = SimpleNamespace(plain=plain, noise=None)
+    fit = _result(ROBOT, {}, search, problem, found, [still])
+    kp = float(FILE["stiffness"][0])
+    drives = (fit.plain_drive, fit.drive, fit.written)
+    expected = kp * np.exp([0.1, 0.2, 0.3])
+    np.testing.assert_allclose([stiffness(x) for x in drives], expected)
+    assert fit.before[0] == -1.0
+    np.testing.assert_allclose([fit.plain[0], fit.after[0]], expected[:2])

@@ -410,3 +410,20 @@ def test_the_cutoff_of_real_logs_is_sane(folder, lowest, highest):
         pytest.skip(f"the real logs are not here: no {DATA / folder}")
     for recording in read_all(DATA / folder):
         assert lowest <= choose_cutoff(recording) <= highest
+
+
+@pytest.mark.parametrize("scale", [0.955, 1.045])
+def test_a_speed_counts_by_its_noise_in_units_of_the_position(scale):
+    """A speed that is off by a factor has its noise off by it, and counts the same.
+
+    The noise of speeds is far above that of positions, so all is in proportion.
+    """
+    log = swing(duration=20.0, noise=1e-5)
+    v = central_difference(log.q, rate=RATE)
+    log = replace(log, v=v + 0.3 * np.random.default_rng(1).normal(size=v.shape))
+    same, other = (
+        speed_against_position(replace(log, v=k * log.v)).weight for k in (1.0, scale)
+    )
+    used = (same > 0) & (other > 0)
+    assert used.sum() > 100
+    np.testing.assert_allclose(other[used], same[used], rtol=0.01)

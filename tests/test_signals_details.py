@@ -5,7 +5,7 @@ import pytest
 
 from hybrid.recording import Recording
 from hybrid.signals import Sampler, motion_from_recording
-from hybrid.signals.cutoff import choose_cutoff
+from hybrid.signals.cutoff import _power, blackman_harris, choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference, filter_reach
 
 
@@ -173,3 +173,12 @@ def test_nothing_filtered_is_nothing():
     empty = butterworth(np.zeros((0, 2)), rate=100.0, cutoff=5.0)
     assert empty.shape == (0, 2)
     assert Sampler(100.0, 5.0, 3)(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_power_is_the_mean_square_of_its_segments():
+    """White noise of variance s² has s² times the sum of the squared window."""
+    x = 3.0 * np.random.default_rng(0).normal(size=(40_000, 2))
+    power, window = _power(x, 256), blackman_harris(256)
+    np.testing.assert_allclose(_power(2.0 * x, 256), 4.0 * power, rtol=1e-9)
+    expected = 9.0 * np.sum(window**2)
+    assert power[8:-8].mean(axis=0) == pytest.approx(expected, rel=0.03)

@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import MODELS
 from simulated import quiet
 
+from hybrid.errors import RobotError
 from hybrid.exports import build_simulator
 from hybrid.robot import Robot
+from hybrid.robot.edit import source
 
 LINK = """<link name="{0}"><inertial><origin xyz=".1 0 0"/><mass value="2"/><inertia
   ixx=".01" ixy="0" ixz="0" iyy=".02" iyz="0" izz=".02"/></inertial></link>"""
@@ -58,3 +61,13 @@ def test_a_joint_without_a_drive_gets_one(tmp_path):
     build_simulator(new, kind="urdf").write(tmp_path / "new.urdf")
     again, _ = quiet(Robot.load, tmp_path / "new.urdf")
     np.testing.assert_allclose(again.chain.armature, [0.3, 0.0])
+
+
+def test_what_mujoco_reads_as_another_arm_is_not_converted(monkeypatch):
+    def refused(*_):
+        raise RobotError("of another kind")
+
+    robot = Robot.load(MODELS / "coman_like.urdf")
+    assert source._converted(robot)
+    monkeypatch.setattr(source, "read", refused)
+    assert source._converted(robot) == ""
