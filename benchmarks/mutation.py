@@ -135,10 +135,13 @@ def places(text: str) -> list[str]:
 
 
 def _compiles(mutant: Mutant) -> bool:
-    """Whether the change is Python: the stars of ``{**x}`` are no power."""
+    """Whether the change can be made and is Python.
+
+    The stars of ``{**x}`` are no power, and Cosmic Ray replaces no ``module.Error``.
+    """
     try:
         ast.parse(mutant.source())
-    except SyntaxError:
+    except (AttributeError, SyntaxError):
         return False
     return True
 

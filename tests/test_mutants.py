@@ -35,6 +35,16 @@ def test_every_mutant_changes_the_line_that_it_names():
         assert changed[0].strip() == mutant.place.split("\0")[0]
 
 
+def test_a_change_that_cannot_be_made_is_not_drawn():
+    """It failed: Cosmic Ray replaces no `mujoco.FatalError` among others."""
+    path = "hybrid/robot/mujoco_model.py"
+    assert "OSError, mujoco.FatalError)" in (mutation.ROOT / path).read_text()
+    every = [m for m in mutation.mutants(path) if m.operator == "ExceptionReplacer"]
+    drawn = [m for m in every if mutation._compiles(m)]
+    assert 0 < len(drawn) < len(every)
+    assert all("CosmicRayTestingException" in m.source() for m in drawn)
+
+
 def test_nothing_of_an_annotation_is_changed():
     """`float | None` is `float & None` to nobody, as nothing evaluates it."""
     found = mutation.mutants("hybrid/signals/motion.py")
