@@ -330,7 +330,7 @@ def gravity_torque(robot, q, gravity=None) -> np.ndarray:
 
 def test_friction_of_load_lags_a_slow_servo_by_its_share_of_the_weight(robot):
     slow = ramp(0.9, 1.2)
-    plain, worn = (replay(robot, slow, load=x) for x in (0.0, [0.3, 0.0]))
+    plain, worn = (replay(robot, slow, load_friction=x) for x in (0.0, [0.3, 0.0]))
     late = slice(len(plain) // 2, None)
     share = 0.3 * np.abs(gravity_torque(robot, plain)[late, 0]) / 25.0
     np.testing.assert_allclose((plain - worn)[late, 0], share, rtol=0.05)
@@ -364,8 +364,8 @@ def test_a_batch_of_replays_is_each_of_them(robot):
     drive = Drive.declared(robot)
     drives = [drive.at(**x) for x in (
         {}, {"play": [0.03, 0.0]}, {"dead_band": 0.02}, {"play": [0.0, 0.02]},
-        {"play": 0.01, "dead_band": [0.02, 0.0]}, {"load": [0.2, 0.0]},
-        {"load": 0.1, "dead_band": 0.02}, {"quadratic": 0.2}, {"roll": 0.1},
+        {"play": 0.01, "dead_band": [0.02, 0.0]}, {"load_friction": [0.2, 0.0]},
+        {"load_friction": 0.1, "dead_band": 0.02}, {"quadratic": 0.2}, {"roll": 0.1},
     )]  # fmt: skip
     stretches = [ramp(-0.4, 0.4, 1.0), ramp(0.3, -0.2, 2.0)]
     every = ServoSimulator(robot).replay(stretches, drives)

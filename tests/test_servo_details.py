@@ -704,6 +704,8 @@ def test_what_a_file_cannot_say_is_said_with_what_that_costs():
     assert "dead band of hinge_1, 0.03 rad:" in dead
     assert "by 4.5 instead of 2.0 mrad" in dead
     assert "pace of hinge_0, 0.4 s/rad:" in pace and "3.0 instead of 1.0" in pace
+    (worn,) = _unsaid(ROBOT, FILE.at(load_friction=[0.0, 0.3]), after, written)
+    assert "load friction of hinge_1, 0.3:" in worn
 
 
 def test_a_file_of_which_every_number_is_right_is_only_replayed():

@@ -102,7 +102,9 @@ QUANTITIES = (
         alone=True,
         probe=0.25,
     ),
-    DriveQuantity("load", "", "load_friction", 0.1, "", False, 0.0, unsaid=True),
+    DriveQuantity(
+        "load_friction", "", "load_friction", 0.1, "", False, 0.0, unsaid=True
+    ),
     DriveQuantity(
         "quadratic", "N·m·s²/rad²", "nonlinear_viscous", 0.1, "torque", False, 0.0
     ),

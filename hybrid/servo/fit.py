@@ -235,8 +235,8 @@ def _unsaid(robot: Robot, drive: Drive, after: Array, written: Array) -> list[st
     ]
     return found + [
         f"MJCF has no place for the {each.name.replace('_', ' ')} of {joint}, "
-        f"{drive[each.name][j]:.3g} {each.unit}: replays of a written file miss by "
-        f"{less[j]} mrad there"
+        f"{f'{drive[each.name][j]:.3g} {each.unit}'.strip()}: replays of a "
+        f"written file miss by {less[j]} mrad there"
         for each in QUANTITIES
         for j, joint in enumerate(robot.joints)
         if each.unsaid and drive[each.name][j] > 0

@@ -242,7 +242,7 @@ def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Arr
         off - np.clip(off, -drive["dead_band"], drive["dead_band"])
     )
     rest = np.clip(pull, -drive["stall"], drive["stall"]) + drive["offset"] - weight
-    level = drive["coulomb"] + drive["load"] * np.abs(weight)
+    level = drive["coulomb"] + drive["load_friction"] * np.abs(weight)
     most = level + drive["stiction"]
     sliding = np.sign(stretch.v) * level
     held = np.clip(rest, -most, most)

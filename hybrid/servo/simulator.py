@@ -29,8 +29,8 @@ from hybrid.servo.stretch import Stretch
 _HALVINGS = 4  # of the step, at most
 _MODELS = 64  # compiled models in the cache
 _STEP = 0.005  # s: longest step of the physics
-_ONLY_HERE = "play", "load", "quadratic"  # MJX lacks it
-_STEPPED = "dead_band", "play", "load"  # servos of MuJoCo lack it
+_ONLY_HERE = "play", "load_friction", "quadratic"  # MJX lacks it
+_STEPPED = "dead_band", "play", "load_friction"  # servos of MuJoCo lack it
 _SPARE = 0.1  # steps: clocks are not exact, so that as much more takes no step more
 
 
@@ -273,14 +273,16 @@ class _FrictionLevels:
         def of(name: str) -> Array:
             return np.array([x[name] for x in drives])
 
-        self._load, self._coulomb = of("load"), of("coulomb")
+        self._load, self._coulomb = of("load_friction"), of("coulomb")
         self._stiction = of("stiction")
         self._stiffness, self._stall = of("stiffness"), of("stall")
         self._presliding = of("presliding")
         self._bristle = self._coulomb / self._presliding
         # Replays share models, but not these.
         self._moving = {
-            k: copy.copy(x.model) for k, x in enumerate(runs) if x.drive["load"].any()
+            k: copy.copy(x.model)
+            for k, x in enumerate(runs)
+            if x.drive["load_friction"].any()
         }
         self.models = [self._moving.get(k, x.model) for k, x in enumerate(runs)]
         first, n = self.models[0], len(drives[0].stall)
