@@ -26,7 +26,7 @@ from hybrid.diagnosis.explanations.servo_fit import (
     log_likelihood_ratio,
 )
 from hybrid.diagnosis.gap.coverage import not_excited, reversals
-from hybrid.diagnosis.gap.faults import _usual_run, find_faults, stretches
+from hybrid.diagnosis.gap.faults import Faults, _usual_run, find_faults, stretches
 from hybrid.diagnosis.gap.measure import _around, block_seconds, measure_gap
 from hybrid.diagnosis.gap.servo import LATENCIES, ServoLog, laws
 from hybrid.diagnosis.gap.split import split, unseen_samples
@@ -487,3 +487,20 @@ def test_a_fast_log_has_the_gap_of_all_its_samples(monkeypatch):
         friction.append(column[use] @ gap.left[use, 0] / (column[use] @ column[use]))
         friction.append(np.sqrt(np.mean(gap.left[use] ** 2)))
     np.testing.assert_allclose(friction[:2], friction[2:], rtol=0.01)
+
+
+def test_what_is_left_out_of_a_short_fast_log_is_left_out_at_its_time(monkeypatch):
+    """It failed: with fewer samples kept than are skipped, it came out elsewhere."""
+    log = fast_log()
+    log = replace(log, t=log.t[:1891], q=log.q[:1891], tau=log.tau[:1891])
+    torque = np.zeros((1891, 1), dtype=bool)
+    torque[900:1120] = True
+    bad = Faults(np.zeros(1891, dtype=bool), torque, ())
+    monkeypatch.setattr("hybrid.diagnosis.gap.measure._faults", lambda *_: bad)
+    gap = measure_gap(pendulum(), [log], cutoff=CUTOFF)
+    skipped = 1.0 / (gap.period * gap.rate)
+    assert len(gap.left) < skipped
+    inside = (gap.sampled.t >= 0.45) & (gap.sampled.t < 0.56)
+    assert inside.any() and not gap.moving[inside].any()
+    after = (gap.sampled.t >= 0.56) & (gap.sampled.t < 0.6)
+    assert gap.moving[after].all()

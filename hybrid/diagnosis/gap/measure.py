@@ -59,13 +59,14 @@ def measure_gap(
     motions, cutoff = motions_from_logs(recordings, cutoff)
     cutoff = min(cutoff, *(m.rate / 2 for m in motions))  # no filter lets through more
     motions = [correct(m) for m in motions] if correct else motions
-    period = 1.0 / motions[0].rate
     _check_torque(motions)
     faults = [_faults(x, m, cutoff) for x, m in zip(recordings, motions, strict=True)]
     motions = [
-        decimated_motion(replace(m, mask=m.mask & ~f.posture), cutoff)
+        replace(m, mask=m.mask & ~f.posture)
         for m, f in zip(motions, faults, strict=True)
     ]
+    rates = [m.rate for m in motions]
+    motions = [decimated_motion(m, cutoff) for m in motions]
     speeds = [np.abs(m.v[m.mask]) for m in motions if m.mask.any()]
     fastest = np.max([x.max(axis=0) for x in speeds], axis=0, initial=0.0)
     slowest = np.maximum(_STANDING * fastest, _SLOWEST)
@@ -78,15 +79,14 @@ def measure_gap(
         asked = _asked(motion, tau, cutoff)
         simulated.append(replace(motion, tau=tau, asked=asked, number=r))
         usable = sampler.keep(motion.mask)[:, None]
-        # The filter reaches farther than from one kept sample to the next.
-        every = -(-len(faults[r].torque) // len(usable))
+        every = round(rates[r] / motion.rate) * sampler.factor
         usable = usable & ~faults[r].torque[::every]
         moving.append(usable & ~_standing(robot, motion, slowest, cutoff))
     fold, trajectory = _folds(motions, cutoff)
     used = np.concatenate(moving)
     used &= used.mean(axis=0) > _FEWEST_MOVING
     return Gap(
-        robot, tuple(simulated), bodies, cutoff, period,
+        robot, tuple(simulated), bodies, cutoff, 1.0 / rates[0],
         np.concatenate(left), used, fold, trajectory,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
