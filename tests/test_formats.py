@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pyarrow import parquet
@@ -380,6 +380,10 @@ def test_without_pyarrow_parquet_alone_is_refused_and_the_line_names_its_extra(
                 "1e400",
                 "1_0",
                 "0x1",
+                "-0X1F",
+                "007",
+                "1.5",
+                "1e3",
                 "x",
                 "1700000000123456789",
             ]
@@ -388,6 +392,8 @@ def test_without_pyarrow_parquet_alone_is_refused_and_the_line_names_its_extra(
         max_size=8,
     )
 )
+@example(cells=["1700000000123456789", "0x1"])
+@example(cells=["1700000000123456789", "-0X1F"])
 def test_a_column_of_csv_is_the_same_with_and_without_pyarrow(tmp_path_factory, cells):
     path = tmp_path_factory.mktemp("csv") / "log.csv"
     rows = [f"{k / 10},{cell},{k}" for k, cell in enumerate(cells)]

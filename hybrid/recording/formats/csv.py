@@ -111,12 +111,21 @@ def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[str, NDArray[Any]] 
         return None
     if any(kinds[int(k)] != "f8" and table[k].null_count for k in types):
         return None
+    if any(kind == "i8" for kind in kinds.values()) and _has_hexadecimals(text):
+        return None  # Arrow reads them as whole numbers
     return {
         str(k): np.concatenate(
             [np.empty(0, kind), *(_numbers(x, kind) for x in table[str(k)].chunks)]
         )
         for k, kind in kinds.items()
     }
+
+
+def _has_hexadecimals(text: _Text) -> bool:
+    """Whether a line below the first holds what Arrow takes for a hexadecimal."""
+    with text.open() as lines:
+        next(lines)
+        return any(b"0x" in line or b"0X" in line for line in lines)
 
 
 def _numbers(chunk: Any, kind: str) -> NDArray[Any]:
