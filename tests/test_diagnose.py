@@ -622,6 +622,25 @@ class TestSilence:
 
 
 class TestEvents:
+    def test_contacts_at_a_time_of_their_own_in_each_recording_are_found(self):
+        robot, free = logs([])
+        starts, recordings, torques = (2.2, 3.1, 1.6, 0.9), [], []
+        for k, start in enumerate(starts):
+            up = -9.0 if k else 9.0  # it would hardly turn a joint otherwise
+            push = {"force_x": 12.0, "force_z": up, "start": start, "duration": 0.7}
+            touching = logs([Contact((0, 1), push)])[1][k]
+            recordings.append(touching)
+            during = (touching.t > start) & (touching.t < start + 0.7)
+            torques.append((touching.tau - free[k].tau)[during, 0].mean())
+        found = examine(robot, recordings).diagnosis
+        assert [f.effect for f in found.findings] == ["contact"]
+        assert found.verdict == "explained"
+        for event, start, torque in zip(found.events, starts, torques, strict=True):
+            assert event.start == pytest.approx(start, abs=0.02)
+            assert event.end == pytest.approx(start + 0.7, abs=0.03)
+            assert event.torque[0] == pytest.approx(torque, rel=0.05, abs=0.1)
+
+    @pytest.mark.study
     def test_a_contact_is_found_by_its_time(self):
         push = {"force_x": 12.0, "force_z": -9.0, "start": 2.2, "duration": 0.7}
         robot, recordings = logs([Contact((0, 1), push)], duration=6.0)

@@ -64,7 +64,7 @@ class Steps(Search):
 
     def __init__(self, scores, losses=None, found=()):
         self.scores, self.losses, self.found = scores, losses or {}, found
-        self.causes, self._certain, self.beliefs = [], [], []
+        self.causes, self._certain, self.beliefs, self.once = [], [], [], []
         self.prior, self.said, self.pooled = Prior(), [], []
         self._progress = lambda text, *_: self.said.append(text)
         joints = SimpleNamespace(joints=("hip", "knee"), size=2)
@@ -80,6 +80,9 @@ class Steps(Search):
     def held_out_loss(self, causes):
         names = "".join(sorted(c.place[0] for c in causes))
         return np.array(self.losses.get(names, (-self.score(causes),) * 2))
+
+    def happens_once(self, cause, causes):
+        return cause in self.once
 
     def columns(self, causes):
         return np.concatenate([np.zeros(0, int), *(c.index for c in causes)])
@@ -111,6 +114,10 @@ def test_causes_are_taken_that_lower_both_losses(loss, taken):
     assert at._take([A]) == taken and at.causes == [A] * taken
     at.causes = []
     assert at._is_cross_validated([A]) == taken
+    at.once = [A]
+    assert at._is_cross_validated([A])
+    at.once, at.scores["ab"] = [B], -2.0
+    assert not at._is_cross_validated([A, B])
 
 
 def test_what_a_new_cause_makes_superfluous_is_removed_weakest_first():

@@ -168,8 +168,10 @@ def test_an_effect_is_at_a_place_once_and_what_repeats_a_few_times():
     assert ("coulomb", (0,)) not in {c.place for c, _ in ranked}
     assert ("coulomb", (0,)) in {c.place for c, _ in at.ranked(at.rigid)}
     contact = replace(at.causes[0], place=("contact", (0,)))
-    few, many = ([contact] * k for k in (2, 3))
-    assert at.taken(few) == set() and at.taken(many) == {("contact", (0,))}
+    ripple = replace(at.causes[0], place=("torque_ripple", (0,)))
+    for often, most in ((ripple, 3), (contact, 3 * len(at.gap.motions))):
+        few, many = ([often] * k for k in (most - 1, most))
+        assert at.taken(few) == set() and at.taken(many) == {often.place}
 
 
 def test_a_law_that_no_library_has_is_unknown_and_its_stand_ins_are_known():

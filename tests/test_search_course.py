@@ -287,8 +287,11 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     losses |= {"b": (4.0, 4.5), "bx": (9.0, 9.0)}
     at.unseen_loss = lambda causes: np.array(losses[named(causes)])
     at._simpler = lambda c, rest: [cause("x")] if c is A else []
+    at.test = SimpleNamespace(tests=lambda c, causes: True)
     assert at.unseen_gain([A]) == {A: 0.5} and at.unseen_gain([]) == {}
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
+    at.test.tests = lambda c, causes: c is B
+    assert at.unseen_gain([A, B]) == {A: np.inf, B: 3.0}
 
 
 def test_the_simpler_law_of_a_cause_is_made_once_unless_it_is_there():

@@ -11,7 +11,7 @@ import numpy as np
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
-from hybrid.diagnosis.answer.events import events_at_rest
+from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import findings
 from hybrid.diagnosis.answer.links import merged_links
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
@@ -194,6 +194,11 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     if not doubts:
         tell("looking for the most probable explanation", 0.45)
         search.run(tell)
+        once = search.happened_in_test()
+        if once.any():
+            tell("looking again, with what happened once", 0.55)
+            search = Search(gap, search.learn | once, search.pool.without)
+            search.run(tell)
     reached = account(search).ceiling
     named, alike = _drop_improbable(search, doubts)
     found, far = account(search, reached), search.doubtful_joints(search.causes)
@@ -218,7 +223,10 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     diagnosis = replace(
         _diagnosis(case.as_logged, search, found, causes, *verdict),
         unseen=shown,
-        events=events_at_rest(case.as_logged),
+        events=(
+            *contacts_in_motion(scored.gap, effects),
+            *events_at_rest(case.as_logged),
+        ),
         warnings=(*gap.notes, *logged.notes, *doubts),
     )
     healthy = case.healthy.model.effects if case.healthy else ()

@@ -22,8 +22,8 @@ class Prior:
         unknown_size: RMS of an unknown law, in rated torque.
         shortlist: Number of candidates whose shapes are fitted in a step.
         refined_share: Evidence of such a candidate over that of the best one, at least.
-        most_repeated: Largest number of unknown laws at a joint, of contacts, and of
-            ripples at a joint.
+        most_repeated: Largest number of unknown laws and of ripples at a joint, and of
+            contacts in a recording.
         slow_share: Share of a residual's squares by which the lower half of its band
             may exceed the upper half in noise.
         probable: Probability of a known effect in the place of a cause, above which the

@@ -21,7 +21,7 @@ class Contact(Effect):
     port = Port.ENVIRONMENT
     not_in_loop = "it happened once, during the recording"
     scope = "arm"
-    repeats = True
+    repeats = "recording"
     choices = 8.0
     gains = (
         *(Quantity(f"force_{x}", "N", 10.0, -500.0, 500.0) for x in "xyz"),

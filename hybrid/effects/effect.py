@@ -91,9 +91,9 @@ class Effect(InPlant, Instant, ABC):
     becomes: ClassVar[tuple[str, Literal["lower", "upper"], str] | None] = None
     # Whether it is the sum of several simpler laws.
     composite: ClassVar[bool] = False
-    # Whether its shapes are read off the residual, so that it may occur several times;
-    # and the logarithm of the number of distinct shapes.
-    repeats: ClassVar[bool] = False
+    # Where it may occur several times, at a joint or in a recording, as its shapes are
+    # read off the residual; and the logarithm of the number of distinct shapes.
+    repeats: ClassVar[Literal["", "joint", "recording"]] = ""
     choices: ClassVar[float | None] = None
     # Whether it is determined by the motion rather than by the torque.
     shows_in_motion: ClassVar[bool] = False

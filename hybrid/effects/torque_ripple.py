@@ -21,7 +21,7 @@ class TorqueRipple(JointEffect):
 
     id = "torque_ripple"
     port = Port.DRIVE
-    repeats = True
+    repeats = "joint"
     choices = 6.0
     gains = (
         Quantity("sine", "N·m", 0.02, -0.15, 0.15, per=(1, 0)),

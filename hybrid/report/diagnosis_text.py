@@ -167,7 +167,7 @@ def _entry(number: int, f: Finding) -> Iterator[str]:
 
 
 def pushes(diagnosis: Diagnosis) -> Iterator[str]:
-    """A sentence on each push while the arm stood still."""
+    """A sentence on each contact and push."""
     for e in diagnosis.events:
         joint = int(np.argmax(np.abs(e.torque)))
         torque = f"{number(e.torque[joint])}{_NO_BREAK}{_unit(diagnosis, joint)}"
@@ -180,7 +180,7 @@ def pushes(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _endings(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.events:
-        yield f"Pushed while at rest: {_few(list(pushes(diagnosis)))}"
+        yield f"Touched or pushed: {_few(list(pushes(diagnosis)))}"
     if diagnosis.not_excited:
         yield f"Not excited, so nothing is said of: {_few(diagnosis.not_excited)}"
     if diagnosis.warnings:

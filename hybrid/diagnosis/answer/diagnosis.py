@@ -171,7 +171,7 @@ class Diagnosis(Shown):
         warnings: Messages for the user.
         provenance: Versions, seeds and files.
         unseen: The gap of each joint on held-out motions.
-        events: Pushes while the arm stood still.
+        events: Contacts of the moving arm, then pushes while it stood still.
     """
 
     robot: str

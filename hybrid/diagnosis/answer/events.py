@@ -1,13 +1,16 @@
-"""Find pushes on an arm at rest: intervals in which its holding torque changes."""
+"""What happened at a time: contacts of a moving arm, and pushes on one at rest."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import median_abs_deviation
 
+from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
 from hybrid.identification.preparation import STANDING
 
@@ -20,14 +23,15 @@ _LEAST_REST = 1.0  # s at rest, to estimate the holding torque
 
 @dataclass(frozen=True)
 class Event:
-    """A push on an arm that stood still.
+    """A contact of the arm, or a push on it.
 
     Attributes:
-        recording: Source of the log, or its number from 0.
+        recording: Source of the log, or its number from 0; ``each recording`` if it is
+            at the same time in all of them.
         start: Time of its first sample, by the clock of the diagnosis, [s].
         end: Time of its last sample, [s].
         torque: Mean torque of each joint against it, shape (n,), [N·m].
-        force: Least-squares force and moment at the last link, in the base frame,
+        force: Force and moment of the last link on what it touches, in the base frame,
             shape (6,), [N, N·m].
     """
 
@@ -38,16 +42,40 @@ class Event:
     force: tuple[float, ...]
 
 
+def contacts_in_motion(gap: Gap, effects: Iterable[Effect]) -> tuple[Event, ...]:
+    """The contacts among some effects, in order of recording and time."""
+    found, t = [], gap.sampled.t
+    for effect in (e for e in effects if isinstance(e, Contact)):
+        number, start = int(effect.values["recording"]), effect.values["start"]
+        end = start + effect.values["duration"]
+        during = gap.sampled.mask & (t >= start) & (t < end)
+        if number >= 0:
+            during &= gap.trajectory == number
+        if during.any():
+            name = gap.motions[number].source if number >= 0 else "each recording"
+            force = effect.gain_values
+            torque = (_wrenches(gap)[during] @ force).mean(axis=0)
+            both = tuple(torque.tolist()), tuple(force.tolist())
+            found.append((number, start, Event(name or str(number), start, end, *both)))
+    return tuple(event for *_, event in sorted(found, key=lambda x: x[:2]))
+
+
+def _wrenches(gap: Gap) -> Array:
+    """Torque per force and moment of the last link, shape (M, n, 6)."""
+    joints = tuple(range(gap.robot.size))
+    columns = gap.columns(Contact(joints, {"start": 0.0, "duration": 1e9}))
+    return np.stack([columns[j] for j in joints], axis=1)
+
+
 def events_at_rest(gap: Gap) -> tuple[Event, ...]:
     """Find pushes while no joint moves, in order of time."""
-    sampled, n = gap.sampled, gap.robot.size
+    sampled = gap.sampled
     v = np.abs(sampled.v)
     slow = v <= np.maximum(STANDING * v.max(axis=0, initial=0.0), _AT_REST)
     still = sampled.mask & slow.all(axis=1)
     rated = np.array([s.torque for s in gap.scales])
     found = []
-    wrench = gap.columns(Contact(tuple(range(n)), {"start": 0.0, "duration": 1e9}))
-    push = np.stack([wrench[j] for j in range(n)], axis=1)  # (M, n, 6)
+    push = _wrenches(gap)
     for r, motion in enumerate(gap.motions):
         rows = np.flatnonzero(still & (gap.trajectory == r))
         if len(rows) < _LEAST_REST * gap.rate:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import (
     Candidate,
     Place,
@@ -93,13 +94,19 @@ class Pool:
 
     def add_contacts(self, base: Index) -> None:
         """Add the contacts with the most evidence in the residual of a base."""
-        if self._contacts is None:
-            return
-        evidence, left = self.evidence, self.evidence.residuals(base)
-        found = self._contacts.strongest(left, evidence.rows, evidence.noise, _CONTACTS)
+        left = self.evidence.residuals(base)
+        found = self.contacts(self.evidence, left, _CONTACTS)
         known = [t.candidate.effect.shape_values for t in self.tried]
-        new = (c for c in found if c.shape_values not in known)
-        self._add([candidate(self.gap, c) for c in new])
+        self._add([c for c in found if c.effect.shape_values not in known])
+
+    def contacts(
+        self, evidence: Evidence, left: Sequence[Array], count: int
+    ) -> list[Candidate]:
+        """The contacts with the most evidence in the residual of some samples."""
+        if self._contacts is None:
+            return []
+        found = self._contacts.strongest(left, evidence.rows, evidence.noise, count)
+        return [candidate(self.gap, c) for c in found]
 
     def add_steep(self, base: Index) -> None:
         """Add steep effects at their best gain beside a base, at joints with a gap."""

@@ -13,11 +13,11 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import Term
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.products import Index
+from hybrid.diagnosis.explanations.other_samples import TAIL
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Gap
 
 _BLOCK_SECONDS = 1.0
-_TAIL = 0.02  # of a term's squares, which a filter may spread to other samples
 _INSTEAD = 0.7  # of the fall of a declared law, least gain of the law in its place
 _ORDERS = 24  # random orders of terms, each with its reverse
 
@@ -113,7 +113,7 @@ class Explanation:
             sum(float(part @ part) for k in members for part in x.contribution(k))
             for x in (self, self.learnt)
         )
-        return self if here > _TAIL * there else self.learnt
+        return self if here > TAIL * there else self.learnt
 
     def blocks(self, i: int) -> NDArray[np.intp]:
         """Block of time of each test sample of a joint, for the bootstrap."""

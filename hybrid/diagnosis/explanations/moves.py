@@ -42,7 +42,13 @@ class Moves(Proposals):
         return True
 
     def _is_cross_validated(self, causes: Sequence[Cause]) -> bool:
-        """Whether some causes have a smaller held-out loss than the present ones."""
+        """Whether some causes have a smaller held-out loss than the present ones.
+
+        A new one that happens once has no other fold to be judged by.
+        """
+        new = [c for c in causes if c not in self.causes]
+        if new and all(self.happens_once(c, causes) for c in new):
+            return True
         now, then = map(self.held_out_loss, (self.causes, causes))
         return bool(np.all(then < now))
 

@@ -23,6 +23,8 @@ from hybrid.diagnosis.gap.background import (
 if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.posterior import Posterior
 
+TAIL = 0.02  # of a term's squares, which a filter may spread to other samples
+
 
 class OtherSamples:
     """Background and causes of a search on other samples.
@@ -72,6 +74,21 @@ class OtherSamples:
         """The same, weighted by the noise, shape (n,)."""
         gains = self._gains(causes)
         return self.evidence.weighted_squares(self.columns(causes), gains)
+
+    def residuals(self, causes: Sequence[Cause]) -> list[Array]:
+        """Residual of each joint with the gains of the search, [N·m]."""
+        return self.evidence.residuals(self.columns(causes), self._gains(causes))
+
+    def tests(self, cause: Cause, causes: Sequence[Cause]) -> bool:
+        """Whether one of some causes acts here, and not on the search's samples alone.
+
+        What happens once cannot be tested.
+        """
+        search = self._search.evidence
+        gains = search.solve(self._search.columns(causes)).of(cause.index)
+        here = self.evidence.fitted_squares(self.own(cause), gains)
+        there = search.fitted_squares(cause.index, gains)
+        return bool(here.sum() > TAIL * there.sum())
 
     def _gains(self, causes: Sequence[Cause]) -> Array:
         search = self._search

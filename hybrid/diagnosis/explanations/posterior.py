@@ -31,7 +31,7 @@ from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.other_samples import OtherSamples
+from hybrid.diagnosis.explanations.other_samples import TAIL, OtherSamples
 from hybrid.diagnosis.explanations.unknown_laws import UnknownLaws
 from hybrid.diagnosis.gap.background import (
     background,
@@ -198,6 +198,13 @@ class Posterior:
 
         return np.asarray(self._cached(loss, "held-out loss", frozenset(causes)))
 
+    def happens_once(self, cause: Cause, causes: Sequence[Cause]) -> bool:
+        """Whether one of some causes acts in a single fold: no other foretells it."""
+        gains = self.evidence.solve(self.columns(causes)).of(cause.index)
+        products, _ = self.evidence.normal_by_fold(cause.index)
+        squares = products @ gains @ gains
+        return bool(squares.max() >= (1.0 - TAIL) * squares.sum())
+
     def unseen_loss(self, causes: Sequence[Cause]) -> Array:
         """Loss of some causes on the test samples, shape (2,), [nat].
 
@@ -215,12 +222,16 @@ class Posterior:
         """By how much each cause lowers :meth:`unseen_loss`, [nat].
 
         The smaller fall of both losses counts. All others are refitted without it, and
-        the simpler law that it becomes may take its place.
+        the simpler law that it becomes may take its place. A cause that does not act on
+        the test samples has no limit: they say nothing of it.
         """
         if not causes:
             return {}
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
         for c in causes:
+            if not self.test.tests(c, causes):
+                gains[c] = np.inf
+                continue
             rest = [x for x in causes if x is not c]
             others = [rest, *([*rest, x] for x in self._simpler(c, rest))]
             gains[c] = min(float(np.min(self.unseen_loss(x) - whole)) for x in others)

@@ -117,7 +117,8 @@ class Proposals(Posterior):
 
     def taken(self, causes: Sequence[Cause]) -> set[Place]:
         """Places of some causes to which no further cause may be added."""
-        most = self.prior.most_repeated
+        few = self.prior.most_repeated
+        most = {"": 1, "joint": few, "recording": few * len(self.gap.motions)}
+        room = {name: most[cls.repeats] for name, cls in effect_classes().items()}
         count = Counter(c.place for c in causes)
-        again = {x.id for x in effect_classes().values() if x.repeats}
-        return {x for x, k in count.items() if k >= (most if x[0] in again else 1)}
+        return {place for place, k in count.items() if k >= room.get(place[0], 1)}

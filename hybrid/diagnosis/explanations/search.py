@@ -17,11 +17,13 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.bayes import PRIOR_FACTORS
 from hybrid.diagnosis.evidence.candidates import Candidate, Term, usual
 from hybrid.diagnosis.evidence.products import Index
+from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.moves import LEAST_GAIN, Moves
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.effects import Effect
 from hybrid.progress import Progress, silent
 
 _ROUNDS = 4  # of additions and exchanges
@@ -101,6 +103,21 @@ class Search(Moves):
             self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
+
+    def happened_in_test(self) -> NDArray[np.bool_]:
+        """Test samples around contacts that happened there alone, shape (M,).
+
+        No motion foretells what happens once: those samples can only be for training.
+        """
+        gap, test = self.gap, self.test
+        base, most = test.columns(self.causes), self.prior.most_repeated
+        found = np.zeros(len(test.use), dtype=bool)
+        left = test.residuals(self.causes)
+        for c in self.pool.contacts(test.evidence, left, most * len(gap.motions)):
+            better, worth = refine(test.evidence, base, c)
+            if worth - self.prior.cause - self.model_error_odds(better) > LEAST_GAIN:
+                found |= _around(gap, better.effect)
+        return found & test.use
 
     def _restart(self) -> None:
         """Start from the usual effects, and keep the more probable explanation.
@@ -275,3 +292,13 @@ class Search(Moves):
         self._remove()
         self._certain = []
         return True
+
+
+def _around(gap: Gap, contact: Effect) -> NDArray[np.bool_]:
+    """Samples of a contact, and as many before and after, which bound it; (M,)."""
+    start, length, recording = (
+        contact.values[x] for x in ("start", "duration", "recording")
+    )
+    t, reach = gap.sampled.t, length + 1.0 / gap.cutoff
+    near = (t >= start - reach) & (t < start + length + reach)
+    return np.asarray(near & (gap.trajectory == recording))
