@@ -27,8 +27,9 @@ from hybrid.recording import Recording
 from hybrid.signals.filters import butterworth
 
 
-def cause(name, joint=0, *, known=True):
-    made = SimpleNamespace(place=(name, (joint,))) if known else None
+def cause(name, joint=0, *, known=True, repeats=""):
+    effect = SimpleNamespace(repeats=repeats)
+    made = SimpleNamespace(place=(name, (joint,)), effect=effect) if known else None
     return Cause((name, (joint,)), np.array([ord(name[0])]), 10.0, made)
 
 
@@ -290,8 +291,12 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     at.test = SimpleNamespace(tests=lambda c, causes: True)
     assert at.unseen_gain([A]) == {A: 0.5} and at.unseen_gain([]) == {}
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
-    at.test.tests = lambda c, causes: c is B
-    assert at.unseen_gain([A, B]) == {A: np.inf, B: 3.0}
+    at.test.tests = lambda c, causes: False
+    assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
+    push = cause("a", repeats="recording")
+    assert at.unseen_gain([push, B]) == {push: np.inf, B: 3.0}
+    at.test.tests = lambda c, causes: True
+    assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
 
 
 def test_the_simpler_law_of_a_cause_is_made_once_unless_it_is_there():

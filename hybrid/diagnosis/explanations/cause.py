@@ -25,3 +25,9 @@ class Cause:
     cost: float
     candidate: Candidate | None = None
     rough: float = 0.0
+
+    @property
+    def is_event(self) -> bool:
+        """Whether it happens at a time, and not by a law."""
+        known = self.candidate
+        return known is not None and known.effect.repeats == "recording"

@@ -199,7 +199,9 @@ class Posterior:
         return np.asarray(self._cached(loss, "held-out loss", frozenset(causes)))
 
     def happens_once(self, cause: Cause, causes: Sequence[Cause]) -> bool:
-        """Whether one of some causes acts in a single fold: no other foretells it."""
+        """Whether one of some causes is an event in a single fold of the samples."""
+        if not cause.is_event:
+            return False
         gains = self.evidence.solve(self.columns(causes)).of(cause.index)
         products, _ = self.evidence.normal_by_fold(cause.index)
         squares = products @ gains @ gains
@@ -222,14 +224,14 @@ class Posterior:
         """By how much each cause lowers :meth:`unseen_loss`, [nat].
 
         The smaller fall of both losses counts. All others are refitted without it, and
-        the simpler law that it becomes may take its place. A cause that does not act on
-        the test samples has no limit: they say nothing of it.
+        the simpler law that it becomes may take its place. Of an event that is not on
+        the test samples they say nothing: infinite.
         """
         if not causes:
             return {}
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
         for c in causes:
-            if not self.test.tests(c, causes):
+            if c.is_event and not self.test.tests(c, causes):
                 gains[c] = np.inf
                 continue
             rest = [x for x in causes if x is not c]
