@@ -40,5 +40,6 @@ class TorqueRipple(JointEffect):
     def law(state: JointState, **shapes: Any) -> Sequence[Array]:
         """Torque per N·m of the sine and of the cosine amplitude."""
         angle = shapes["periods"] * state.q
-        fade = np.clip(2.0 - abs(state.v) / shapes["fastest"], 0.0, 1.0)
+        fade = 2.0 - abs(state.v) / shapes["fastest"]
+        fade = np.minimum(np.maximum(fade, 0.0), 1.0)
         return fade * np.sin(angle), fade * np.cos(angle)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -62,11 +61,13 @@ class Lockstep:
         for data in self._datas:
             data.time = time
         self._declared = arm.model.dof_frictionloss.copy()
-        self._views: dict[str, list[Array]] = {
-            name: [getattr(data, name) for data in self._datas]
-            for name in ("qpos", "qvel", "qacc", "qfrc_passive", "qfrc_constraint",
-                         "qfrc_smooth", "qfrc_applied")
-        }  # fmt: skip
+        self._motion = self._views("qpos", "qvel")
+        self._torques = self._views(
+            "qacc", "qfrc_smooth", "qfrc_passive", "qfrc_constraint"
+        )
+        self._forces = self._views("qfrc_applied")
+        # Whether the dofs are the motors, one by one, so that nothing is to be picked.
+        self._alike = np.array_equal(arm.motor, np.arange(arm.model.nv))
         self._levels = [model.dof_frictionloss for model in self._models]
         self._applied = np.zeros((batch, arm.model.nv))
         self._friction = np.tile(self._declared, (batch, 1))
@@ -103,13 +104,15 @@ class Lockstep:
         Raises:
             HybridError: The simulation diverges.
         """
-        for _ in range(substeps):
+        felt = len(self._laws) > 0 or len(self._resisting) > 0
+        for left in range(substeps, 0, -1):
             delivered = self._delivered(torque)
             self._act(delivered)
             for model, data in zip(self._models, self._datas, strict=True):
                 self._advance(model, data)
             self._read()
-            self._read_torque(delivered)
+            if felt or left == 1:  # nobody asks in between where there is no law
+                self._read_torque(delivered)
 
     def _delivered(self, torque: Array) -> Array:
         if not self._drives:
@@ -139,7 +142,7 @@ class Lockstep:
             self._friction[:, arm.motor] = np.maximum(level, 0.0)
             for target, row in zip(self._levels, self._friction, strict=True):
                 target[:] = row
-        for force, row in zip(self._views["qfrc_applied"], applied, strict=True):
+        for force, row in zip(self._forces, applied, strict=True):
             force[:] = row
         if self._pushing:
             self._push()
@@ -168,21 +171,20 @@ class Lockstep:
         # held by friction creeps in that direction already.
         push = np.where(self._net_torque < 0.0, -1.0, 1.0)
         sign = np.where(self.v == 0.0, push, np.sign(self.v))
-        self._time[:] = [[data.time] for data in self._datas]
+        for row, data in zip(self._time, self._datas, strict=True):
+            row.fill(data.time)
         warm = self.temperature
         motor = JointState(self._time, self.q, self.v, self.a, sign, self.load, warm)
         elastic = self._arm.elastic
         if not len(elastic):
             return motor, motor
         q, v = self.q.copy(), self.v.copy()
-        for x, name in ((q, "qpos"), (v, "qvel")):
-            behind = self._gather(name)[:, self._arm.deflection]
-            np.add.at(x.T, elastic, behind.T)
+        for x, all_dofs in zip((q, v), self._gather(self._motion), strict=True):
+            np.add.at(x.T, elastic, all_dofs[:, self._arm.deflection].T)
         return motor, JointState(self._time, q, v, self.a, np.sign(v), self.load, warm)
 
     def _read(self) -> None:
-        self.q = self._gather("qpos")[:, self._arm.motor]
-        self.v = self._gather("qvel")[:, self._arm.motor]
+        self.q, self.v = self._of_motors(self._gather(self._motion))
         # The comparison is written so that NaN fails it too.
         if not np.vdot(self.v, self.v) < _FASTEST**2 * self.v.size:
             raise HybridError(
@@ -192,19 +194,23 @@ class Lockstep:
 
     def _read_torque(self, delivered: Array) -> None:
         """Read acceleration, net torque and transmitted load for the next step."""
-        arm, motor = self._arm, self._arm.motor
-        passive = self._gather("qfrc_passive")
-        self.a = self._gather("qacc")[:, motor]
-        self._net_torque = self._gather("qfrc_smooth")[:, motor]
-        self.load = (
-            delivered - self._laws.drive
-            + passive[:, motor]
-            + self._gather("qfrc_constraint")[:, motor]
-            - arm.armature * self.a
-        )  # fmt: skip
-        # With a spring or backlash, the load is the torque that these transmit.
-        stops = self._gather("qfrc_constraint")[:, arm.deflection]
-        self.load[:, arm.elastic] = passive[:, arm.deflection] + stops
+        arm, all_dofs = self._arm, self._gather(self._torques)
+        self.a, self._net_torque, passive, stop = self._of_motors(all_dofs)
+        held = delivered - self._laws.drive + passive + stop
+        self.load = held - arm.armature * self.a
+        if len(arm.elastic):
+            # With a spring or backlash, the load is the torque that these transmit.
+            passive, stop = all_dofs[2:, :, arm.deflection]
+            self.load[:, arm.elastic] = passive + stop
 
-    def _gather(self, name: str) -> Any:
-        return np.concatenate(self._views[name]).reshape(len(self._datas), -1)
+    def _views(self, *names: str) -> list[Array]:
+        """Vectors in MuJoCo's memory, those of all trajectories name by name."""
+        return [getattr(data, name) for name in names for data in self._datas]
+
+    def _gather(self, views: list[Array]) -> Array:
+        """Copies of vectors of all dofs, shape (names, B, dofs), in one call."""
+        nv = self._arm.model.nv
+        return np.concatenate(views).reshape(-1, len(self._datas), nv)
+
+    def _of_motors(self, all_dofs: Array) -> Array:
+        return all_dofs if self._alike else all_dofs.take(self._arm.motor, axis=2)

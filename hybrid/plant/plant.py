@@ -153,20 +153,23 @@ class Plant:
         state = Lockstep(self.arm, effects, q_ref[0], time=t[0])
         weight, lead = self._alignment(substeps)
         log = {x: np.empty((samples, *q_ref.shape[1:])) for x in ("q", "v", "tau")}
-        torque, saturated = feed[0], np.zeros(self.robot.size)
+        torque, least, most = feed[0], -servo.limit, servo.limit
+        saturated = np.empty(q_ref.shape, dtype=bool)
+        sensing = [e for e in self.effects if overrides(e, "sense")]
         for k in range(len(t)):
-            q, v = encoder_readings(self.effects, state.q, state.v)
+            q, v = encoder_readings(sensing, state.q, state.v)
             wanted = feed[k] + kp * (q_ref[k] - q) + kd * (v_ref[k] - v)
-            previous, torque = torque, np.clip(wanted, -servo.limit, servo.limit)
-            saturated += (torque != wanted).sum(axis=0)
+            previous = torque
+            torque = np.minimum(np.maximum(wanted, least), most)
+            np.not_equal(torque, wanted, out=saturated[k])
             sample, rest = divmod(k - before, every)
             if sample >= 0 and rest == 0:
                 log["q"][sample], log["v"][sample] = encoder_readings(
-                    self.effects, state.q, state.v + lead * state.a
+                    sensing, state.q, state.v + lead * state.a
                 )
                 log["tau"][sample] = weight * previous + (1 - weight) * torque
             state.step(torque, substeps)
-        self._warn_of_saturation(saturated / (len(t) * len(references)))
+        self._warn_of_saturation(saturated.mean(axis=(0, 1)))
         return t[before::every], log | {"command": command[before::every]}
 
     def _commanded(self, t: Array, signal: Array) -> Array:

@@ -131,8 +131,7 @@ class _FreeTrajectories(Lockstep):
         self._resisted = [np.array(x) for x in torques]
 
     def _read(self) -> None:
-        motor = self._arm.motor
-        self.q, self.v = self._gather("qpos")[:, motor], self._gather("qvel")[:, motor]
+        self.q, self.v = self._of_motors(self._gather(self._motion))
         # The comparison is written so that NaN fails it too.
         self.diverged |= ~(np.abs(self.v).max(axis=1) < _DIVERGED)
         for k in np.flatnonzero(self.diverged):
