@@ -174,9 +174,14 @@ def _aliased(spectrum: Spectrum, size: int, factor: int) -> Spectrum:
 
 
 def _filtered(x: Array, rate: float, cutoff: float, axis: int, factor: int) -> Array:
-    x = np.moveaxis(np.asarray(x, dtype=np.float64), axis, -1)
+    x = np.asarray(x, dtype=np.float64)
+    # Transposed by hand: it is called thousands of times, and np.moveaxis is slow.
+    axis %= x.ndim
+    others = [k for k in range(x.ndim) if k != axis]
+    x = x.transpose(*others, axis)
+    back = [*range(axis), x.ndim - 1, *range(axis, x.ndim - 1)]
     if passes_all(rate, cutoff) or x.size == 0:
-        return np.ascontiguousarray(np.moveaxis(x[..., ::factor], -1, axis))
+        return np.ascontiguousarray(x[..., ::factor].transpose(back))
     from scipy.fft import irfft, next_fast_len, rfft
 
     samples = x.shape[-1]
@@ -189,7 +194,7 @@ def _filtered(x: Array, rate: float, cutoff: float, axis: int, factor: int) -> A
         if last > first:
             part = _filtered(x[..., first:last], rate, cutoff, -1, factor)
             out[..., first // factor :][..., : part.shape[-1]] = part
-        return np.ascontiguousarray(np.moveaxis(out, -1, axis))
+        return np.ascontiguousarray(out.transpose(back))
     decimated = next_fast_len(-(-(samples + 2 * pad) // factor), real=True)
     size = factor * decimated
     gain = _gain(cutoff / rate, size) / factor
@@ -201,7 +206,7 @@ def _filtered(x: Array, rate: float, cutoff: float, axis: int, factor: int) -> A
         spectrum = _aliased(spectrum, size, factor)
         out[i : i + _BLOCK] = irfft(spectrum, decimated)[:, pad // factor :][:, :kept]
     out = out.reshape(*x.shape[:-1], kept)
-    return np.ascontiguousarray(np.moveaxis(out, -1, axis))
+    return np.ascontiguousarray(out.transpose(back))
 
 
 def _nonzero_range(x: Array, pad: int, factor: int) -> tuple[int, int]:
