@@ -122,14 +122,17 @@ def log(
     data = mujoco.MjData(model)
     data.qpos[own] = command[0]
     t, q = np.arange(len(command)) / RATE, []
-    for k in range(len(command)):
+    now = t[:, None] + np.arange(parts) * model.opt.timestep - delay
+    asked = np.stack([np.interp(now, t, x) for x in command.T], axis=2)
+    for goals_of_sample in asked:
         q.append(data.qpos[own])
         q[-1][0] += data.qpos[1] if play else 0.0
-        for i in range(parts):
-            now = t[k] + i * model.opt.timestep - delay
-            data.ctrl[:] = [np.interp(now, t, x) for x in command.T]
-            data.ctrl[0] -= np.clip(data.ctrl[0] - data.qpos[0], -dead, dead)
-            data.ctrl[0] -= data.qpos[1] if play else 0.0
+        for goal in goals_of_sample:
+            data.ctrl[:] = goal
+            if dead:
+                data.ctrl[0] -= np.clip(data.ctrl[0] - data.qpos[0], -dead, dead)
+            if play:
+                data.ctrl[0] -= data.qpos[1]
             mujoco.mj_step(model, data)
     measured = np.round(np.array(q) / TICK) * TICK
     joints = ("shoulder", "elbow")
