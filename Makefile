@@ -14,6 +14,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 RUNS := .venv/.runs
+# Byte code is kept: workers, and programs that tests start, would compile all again.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest -n 2 --dist worksteal
 
 # One thread per process: the linear algebra is small, and two test workers would fight.
 export OMP_NUM_THREADS = 1
@@ -26,7 +28,7 @@ demo: $(RUNS)
 	$(BIN)/python experiments/demo.py --out reports/demo
 
 test: $(INSTALLED)
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(PYTEST)
 
 docs: $(INSTALLED)
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet \
@@ -34,7 +36,7 @@ docs: $(INSTALLED)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 studies: $(INSTALLED)
-	$(BIN)/pytest -n 2 --dist worksteal -m study
+	$(PYTEST) -m study
 
 check: $(INSTALLED)
 	$(BIN)/ruff check .
