@@ -427,7 +427,7 @@ def test_one_gain_is_iterated_where_the_torque_is_linear_near_it_only(
     view = Discrimination([], None, SimpleNamespace(gap=gap_of()))
     monkeypatch.setattr(view, "_evidence_at", evidence)
     found = view._best_evidence(None, candidate(gap_of(), effect))
-    assert found == len(seen) == (1 + separation._ITERATIONS if moves else 1)
+    assert found == len(seen) == (5 if moves else 1)
     assert (len({tuple(x.values.values()) for x in seen}) > 2) == moves
 
 
