@@ -1,4 +1,4 @@
-"""Numbers of servos: what a file leaves open, how far it is believed, what is fitted."""
+"""Numbers of servos: what a file leaves open, how it is believed, what is fitted."""
 
 from dataclasses import replace
 from types import SimpleNamespace
