@@ -309,3 +309,29 @@ def test_a_question_that_fails_is_answered_and_the_next_one_too():
     ready, failed, right = told
     assert ready == {} and right == {"is": 1}
     assert failed["reason"].startswith("ZeroDivisionError: ")
+
+
+@pytest.mark.parametrize(("arms", "told"), [(3, False), (4, True)])
+def test_of_four_arms_one_may_be_unlike_the_others(arms, told):
+    y = np.append(0.001 * np.arange(arms - 1.0), 900.0)
+    assert pooled(y, np.full(arms, 0.01)).unlike.tolist() == [False] * (arms - 1) + [
+        told
+    ]
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.97, False), (1.03, True)])
+def test_one_group_in_a_hundred_has_an_outlier_by_chance(times, told):
+    """Of five arms each at a fifth of it, on both sides of Student's law."""
+    from scipy.stats import t
+
+    far = t.isf(0.01 / 5 / 2, 3) * np.sqrt(0.25 + 1.0)
+    y = np.append(np.zeros(4), times * far)
+    assert pooled(y, np.ones(5)).unlike.any() == told
+
+
+def test_an_alarm_looks_back_over_a_year_of_weeks():
+    """What was not a number at the begin spoils each score that it is in."""
+    t = 7.0 * np.arange(80)
+    y = 100.0 * (t >= t[20])
+    y[0] = np.nan
+    assert _first_alarm(t, y, np.ones(80), 4.0, None, 0) == 52
