@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pendulum import gap_of, pendulum
 
+from hybrid.diagnosis.advice import menu as menu_module
 from hybrid.diagnosis.advice import separation
 from hybrid.diagnosis.advice.advise import (
     Discriminations,
@@ -44,6 +45,8 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import ExcitationError, HybridError
 from hybrid.plant.reference import Reference
 from hybrid.robot.spatial import central_inertia
+
+KEPT = "duration", "fill", "fundamental", "hold", "longest"
 
 
 def path(seconds=4.0, rate=100.0, speed=1.0, size=1):
@@ -641,3 +644,43 @@ def test_findings_of_a_servo_that_are_alike_ask_for_other_gains():
         "run with other gains (10 s)", ("controller_gain", "command_latency"), 0.0
     )
     assert plans("controller_gain") == [] and plans("coulomb", "viscous") == []
+
+
+def test_the_menu_asks_for_motions_of_some_length_and_share_of_the_limits(monkeypatch):
+    """In the second try, which is smaller."""
+    asked = []
+
+    def noted(name):
+        def make(robot, *args, **given):
+            asked.append((name, {k: x for k, x in given.items() if k in KEPT}))
+            return path()
+
+        return make
+
+    for name in (
+        "random_fourier", "static_poses", "multisine", "speed_ladder",
+        "micro_reversals",
+    ):  # fmt: skip
+        monkeypatch.setattr(menu_module, name, noted(name))
+    monkeypatch.setattr(menu_module, "at_speeds", lambda robot, path: [path])
+    made = Menu(pendulum(2), np.random.default_rng(0), rate=50.0)
+    made.__dict__["envelope"] = SimpleNamespace(
+        limits=Envelope.of(pendulum(2)).limits,
+        first_safe=lambda make, arm=None: make(1),
+    )
+    made._poses = lambda: None
+    assert len(made.of_all_joints) == 7
+    random = {"fundamental": 0.1, "duration": 20.0, "fill": 0.6 * 0.85}
+    assert asked == [
+        ("random_fourier", random | {"duration": 10.0, "fill": 0.2 * 0.85}),
+        ("static_poses", {"hold": 0.5}),
+        ("multisine", {"fill": 0.5 * 0.85}),
+        ("random_fourier", random | {"fill": 0.8 * 0.85}),
+        *[("random_fourier", random)] * 3,
+    ]
+    asked.clear()
+    made.ladder(0), made.about(1)
+    assert asked == [
+        ("speed_ladder", {"longest": 4.0}), ("micro_reversals", {}),
+        ("speed_ladder", {"longest": 2.0}),
+    ]  # fmt: skip

@@ -223,6 +223,25 @@ def test_torque_is_the_measured_one_where_both_differ_by_far():
         assert (asked[1100:] == (tau if far else simulated)[1100:]).mean() > 0.9
 
 
+def test_torque_is_far_from_ten_deviations_of_the_noise_on():
+    """Sample by sample, by the median of its upper half band."""
+    (m, *_) = swings(count=1, seconds=20.0)
+    rough = 0.01 * np.random.default_rng(3).standard_normal(m.tau.shape)
+    low = butterworth(rough, rate=RATE, cutoff=CUTOFF / 2)
+    band = butterworth(rough, rate=RATE, cutoff=CUTOFF) - low
+    far = 10.0 * 1.4826 * np.median(np.abs(band))
+    zero = np.zeros_like(rough)
+    asked = _asked(replace(m, tau=far + rough), zero, CUTOFF)
+    expected = np.abs(far + low) > far
+    np.testing.assert_array_equal(asked, np.where(expected, far + rough, zero))
+    assert 0.3 < expected.mean() < 0.7
+    # Where the mask is, noise is estimated.
+    mask = np.arange(len(m.t)) < 500
+    some = 10.0 * 1.4826 * np.median(np.abs(band[mask]))
+    asked = _asked(replace(m, tau=far + rough, mask=mask), zero, CUTOFF)
+    np.testing.assert_array_equal(asked != 0, np.abs(far + low) > some)
+
+
 def test_faults_spoil_what_the_filter_reaches():
     """Half a second at 10 Hz, and nothing where no filter is."""
     (m, *_) = swings(count=1, seconds=10.0)
