@@ -324,3 +324,21 @@ def test_a_plan_says_what_is_not_valid(tmp_path, more, line):
     (tmp_path / "plan.yaml").write_text(text)
     with pytest.raises(HybridError, match=line):
         read_plan(tmp_path / "plan.yaml")
+
+
+def test_one_of_the_first_four_periods_becomes_the_baseline():
+    logs = {
+        f"2026-W0{k}": [(f"2026-01-0{k}", f"{k}.csv", f"is {k}")] for k in range(1, 7)
+    }
+    arm = ArmPlan("a", "logs", "arm.xml", joints=("x", "y"), map="ur")
+    unit, message = stores._baseline_unit(arm, logs)
+    assert message == {
+        "task": "baseline", "robot": "arm.xml", "joints": ["x", "y"], "map": "ur",
+        "periods": [[f"2026-W0{k}", [f"{k}.csv"]] for k in (1, 2, 3, 4)],
+    }  # fmt: skip
+    assert unit.logs == tuple((f"{k}.csv", f"is {k}") for k in (1, 2, 3, 4))
+    own, message = stores._baseline_unit(replace(arm, baseline="2026-W05"), logs)
+    assert [name for name, _ in message["periods"]] == ["2026-W05"]
+    assert own.key != unit.key
+    with pytest.raises(HybridError, match="valid are 'first', a model's .json, or a"):
+        stores._baseline_unit(replace(arm, baseline="2026-W09"), logs)

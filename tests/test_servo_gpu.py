@@ -213,3 +213,13 @@ def test_a_gpu_is_asked_for_and_none_is_seen(path, slow, monkeypatch):
                 ServoSimulator(Robot.load(path), gpu=True)
         else:
             ServoSimulator(Robot.load(path), gpu=True)
+
+
+@pytest.mark.parametrize(
+    ("replays", "compiled"),
+    [(1, 256), (256, 256), (257, 1024), (1024, 1024), (1025, 4096), (4097, 16384)],
+)
+def test_a_loop_is_compiled_for_powers_of_four(replays, compiled):
+    from hybrid.servo.accelerated import _padded
+
+    assert _padded(replays) == compiled
