@@ -286,6 +286,12 @@ def test_the_error_of_the_file_is_the_most_probable_one(worth, chosen):
     assert at.set == ([chosen] if chosen != 0.02 else [])
 
 
+@pytest.mark.parametrize("error", [0.01, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0])
+def test_errors_of_the_file_are_tried_from_a_hundredth_to_five(error):
+    at = Files({error: 99.0}, {error: (-9.0, -9.0)})
+    assert at._fit_file_error() and at.file_error == error
+
+
 def test_a_larger_error_of_the_file_has_to_lower_both_losses():
     for loss, better in (((0.9, 0.9), True), ((0.9, 1.0), False)):
         at = Files({0.02: 0.0, 0.2: 99.0}, {0.02: (1.0, 1.0), 0.2: loss})
@@ -591,7 +597,7 @@ def test_proposals_are_kept_to_some_joints_and_never_what_was_refused():
     at.library_only = True
     assert all(x.candidate is not None for x in at.proposals([]))
     at.library_only = False
-    assert len([x for x in at.proposals([]) if x.candidate]) <= at.prior.shortlist
+    assert len([x for x in at.proposals([]) if x.candidate]) <= 6
 
 
 def test_errors_of_known_laws_count_against_unknown_ones():
