@@ -738,12 +738,12 @@ def test_waves_are_the_strongest_lines_over_time_and_position():
     gap = gap_of(count=1, seconds=20.0)
     rows = np.arange(len(gap.left))
     t = gap.sampled.t
-    left = sum(a * np.sin(2 * np.pi * f * t) for a, f in ((3, 2.0), (2, 4.5), (1, 7.0)))
+    left = sum(a * np.sin(2 * np.pi * f * t) for a, f in ((3, 2.0), (2, 4.5), (1, 0.6)))
     left = left + 9.0 * np.sin(2 * np.pi * 0.25 * t)  # too slow
     (where, over_position), (when, over_time) = waves(gap, 0, left, rows)
     assert (where, when) == ("waves of position", "waves in time")
     assert over_position.shape[1] <= 6 and over_time.shape[1] == 6
-    for k, f in enumerate((2.0, 4.5, 7.0)):
+    for k, f in enumerate((2.0, 4.5, 0.6)):
         sine, cosine = over_time[:, 2 * k], over_time[:, 2 * k + 1]
         np.testing.assert_allclose(sine, np.sin(2 * np.pi * f * t), atol=1e-6)
         np.testing.assert_allclose(cosine, np.cos(2 * np.pi * f * t), atol=1e-6)
@@ -836,6 +836,37 @@ def test_laws_of_a_joint_are_of_each_signal_and_of_pairs_of_them():
     np.testing.assert_allclose(found["past of speed"], low_passed(gap, past, 10.0))
     beside = smooth_features(m.v[:, 0], 14)
     np.testing.assert_allclose(found["speed of hinge_0"], beside)
+
+
+def test_laws_of_load_and_of_other_joints_are_of_slow_signals():
+    gap = gap_of(size=2, count=2)
+    found, m = dict(joint_laws(gap, 1)), gap.sampled
+    load = low_passed(gap, gap.load[:, 1], 3.0)
+    sign, side = smooth_sign(m.v[:, 1]), smooth_sign(gap.load[:, 1])
+    own, other = (low_passed(gap, m.a[:, j], 3.0) for j in (1, 0))
+
+    def both(x, y, count):
+        pairs = smooth_features(x, count), smooth_features(y, count)
+        return np.einsum("ti,tj->tij", *pairs).reshape(len(x), -1)
+
+    def filtered(x):
+        return low_passed(gap, x, 10.0)
+
+    expected = {
+        "load": smooth_features(load, 14),
+        "direction and load": filtered(sign[:, None] * smooth_features(load, 14)),
+        "direction and acceleration": filtered(
+            sign[:, None] * smooth_features(own, 14)
+        ),
+        "load and position": both(m.q[:, 1], load, 6),
+        "acceleration of hinge_0": smooth_features(other, 14),
+        "position of hinge_0": both(m.q[:, 1], m.q[:, 0], 4),
+        "past of load": filtered(lagged_differences(gap, load)),
+        "past of direction": filtered(lagged_differences(gap, sign)),
+        "past of side": filtered(lagged_differences(gap, side)),
+    }
+    for name, law in expected.items():
+        np.testing.assert_allclose(found[name], law, err_msg=name)
 
 
 def test_a_twist_is_of_the_link_s_angle_speed_and_acceleration():
