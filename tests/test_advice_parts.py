@@ -29,17 +29,23 @@ from hybrid.diagnosis.advice.menu import (
 )
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
+    fit_rival,
     required_evidence,
     tried_shapes,
 )
 from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import simulated_torque
+from hybrid.diagnosis.gap.split import split
+from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.encoder_eccentricity import EncoderEccentricity
+from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_gain import TorqueGain
+from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ExcitationError, HybridError
@@ -234,7 +240,7 @@ def test_tries_are_smaller_and_their_postures_are_within_the_range():
 
 
 def test_poses_are_eight_and_the_first_again_or_at_least_four():
-    for most, count in ((8, 9), (5, 6), (4, 5), (3, None)):
+    for most, count in ((20, 9), (8, 9), (5, 6), (4, 5), (3, None)):
         made = Menu(pendulum(2), np.random.default_rng(0), rate=50.0)
         seen = []
 
@@ -384,6 +390,35 @@ def test_rivals_are_apart_by_what_the_other_cannot_make_good():
     rest = 4 * 52.0 - max((4 * 18.0) ** 2 / 37.0, (4 * 16.0) ** 2 / 73.0)
     assert doubled == pytest.approx(np.sqrt(rest))
     assert view.separation(first, Lines([3.0, 0.0], 2.0, 1.0)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "cost"),
+    [(Coulomb((0,)), 0.0), (Stribeck((0,), {"velocity": 0.3}), 4.0)],
+)
+def test_a_rival_has_the_evidence_of_its_effect_beside_all_others(effect, cost):
+    true = Coulomb((0,), {"level": 1.0}), TorqueOffset((0,), {"level": -1.0})
+    gap = gap_of(*true)
+    kept = {x.id for x in (*true, Viscous((0,)))}
+    at = Search(gap, split(gap), [x for x in effect_classes() if x not in kept])
+    at.causes = [at.cause(candidate(gap, x)) for x in true]
+    term, other = at.terms
+    found = fit_rival(at, term, candidate(gap, effect))
+    base = np.concatenate([at.rigid, other.index])
+    (own,) = at.evidence.add([gap.columns(effect)], [candidate(gap, effect).std])
+    both = at.evidence.solve(np.concatenate([base, own]))
+    alone = at.evidence.solve(base).evidence
+    assert found.evidence == pytest.approx(both.evidence - alone - cost)
+    (level,) = found.effect.gain_values
+    assert level == pytest.approx(both.gains[-1]) and len(found.others) == 1
+    np.testing.assert_allclose(found.prior, at.evidence.precision[base])
+    shapes = len(effect.shapes)
+    np.testing.assert_allclose(found.gains, [*both.gains, *np.zeros(shapes)])
+    assert found.precision.shape == (len(base) + 1 + shapes,) * 2
+    A, _ = at.evidence.normal(np.concatenate([base, own]))
+    inner = found.precision[: len(A), : len(A)]
+    prior = np.diag(at.evidence.precision[both.index])
+    np.testing.assert_allclose(inner - A, prior, atol=1e-6)
 
 
 def test_evidence_that_is_required_is_a_hundred_to_one_or_three_percent():

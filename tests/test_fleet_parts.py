@@ -59,13 +59,14 @@ def test_an_arm_is_compared_with_all_others():
     )
 
 
-def test_arms_are_drawn_to_the_mean_by_how_unsure_they_are():
-    y, s = np.array([0.0, 2.0, 4.0, 10.0]), np.ones(4)
+@pytest.mark.parametrize("s", [np.ones(4), np.array([0.5, 1.0, 2.0, 3.0])])
+def test_arms_are_drawn_to_the_mean_by_how_unsure_they_are(s):
+    y = np.array([0.0, 2.0, 4.0, 10.0])
     found = pooled(y, s)
     mean, spread, error = _mean_and_spread(y, s)
-    weight = spread**2 / (spread**2 + 1.0)
+    weight = spread**2 / (spread**2 + s * s)
     np.testing.assert_allclose(found.value, weight * y + (1 - weight) * mean)
-    std = np.sqrt(weight + (1 - weight) ** 2 * error**2)
+    std = np.sqrt(weight * s * s + (1 - weight) ** 2 * error**2)
     np.testing.assert_allclose(found.std, std)
     assert not found.unlike.any()
     far = pooled(np.array([0.0, 0.1, -0.1, 0.05, -0.05, 50.0]), 0.1 * np.ones(6))
@@ -253,6 +254,15 @@ def test_logs_are_in_the_order_of_their_days_and_hidden_ones_are_none(tmp_path):
     assert list(periods(arm, "log")) == ["c_2026-01-05.csv", "b_2026-01-09.csv"]
     both = periods(arm, "month")["2026-01"]
     assert [x[0] for x in both] == ["2026-01-09", "2026-01-05"]
+
+
+def test_logs_of_one_day_are_in_the_order_of_their_names(tmp_path):
+    table = {}
+    for day, name in (("2026-01-05", "x/b.csv"), ("20260105", "y/a.csv")):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(name)
+        table[day] = tmp_path / name
+    assert list(periods(ArmPlan("a", table, "arm.xml"), "log")) == ["a.csv", "b.csv"]
 
 
 def test_a_plan_has_defaults_for_all_arms_and_numbers_of_its_own(tmp_path):
