@@ -417,6 +417,13 @@ def test_the_probability_of_no_cause_is_one_of_them():
     assert found.probability == pytest.approx(1 - 1 / whole)
 
 
+def test_alternatives_come_by_their_probability_after_the_cause_itself():
+    worth = {A: 1.0, B: 0.5, C: 2.0}
+    options = {made.place: sized(made, 1, x) for made, x in worth.items()}
+    found = Belief.of(A, 1.0, options, (), 0.01)
+    assert [x.place for x, _ in found.alternatives] == [A.place, C.place, B.place]
+
+
 def test_a_belief_is_what_the_score_falls_by_with_its_alternatives():
     at = Steps({"": 0.0, "a": 20.0, "c": 5.0, "ac": 25.0, "aspeed": 21.0, "abc": 26.0})
     at.causes = [A, C]

@@ -23,6 +23,7 @@ from hybrid.fleets.plan import (
     plan_from_dict,
 )
 from hybrid.fleets.pooling import _mean_and_spread, _p_value, pooled
+from hybrid.fleets.run import answers
 from hybrid.fleets.scatter import (
     Scatter,
     _differences,
@@ -345,3 +346,66 @@ def test_an_alarm_looks_back_over_a_year_of_weeks():
     y = 100.0 * (t >= t[20])
     y[0] = np.nan
     assert _first_alarm(t, y, np.ones(80), 4.0, None, 0) == 52
+
+
+class Cluster:
+    """A scheduler whose tasks end in their order, after some seconds for each job."""
+
+    def __init__(self, seconds, threads=2):
+        self.seconds, self.threads = seconds, threads
+        self.sizes, self.models, self.tasks = [], [], []
+
+    def nthreads(self):
+        return {"one": self.threads - 1, "other": 1}
+
+    def submit(self, function, first, *rest, **options):
+        if function is str:
+            self.models.append(first)
+            return f"kept {first}"
+        self.sizes.append(len(first))
+        self.tasks.append((first, rest[0]))
+        return len(self.tasks) - 1
+
+    def completed(self, futures, with_results, raise_errors):
+        waiting = list(futures)
+
+        class Running:
+            def update(self, more):
+                waiting.extend(more)
+
+            def __iter__(this):
+                while waiting:
+                    future = waiting.pop(0)
+                    told, model = self.tasks[future]
+                    found = [{"told": x, "model": model} for x in told]
+                    yield future, (found, self.seconds * len(told))
+
+        return Running()
+
+    def answers(self, monkeypatch, jobs):
+        monkeypatch.setattr("distributed.as_completed", self.completed)
+        return list(answers(self, iter(jobs), 9.0))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "size"), [(9.0, 1), (0.14, 2), (0.04, 7), (0.001, 32), (0.0, 32)]
+)
+def test_tasks_last_three_tenths_of_a_second_and_four_wait_for_each_thread(
+    monkeypatch, seconds, size
+):
+    pytest.importorskip("distributed")
+    cluster = Cluster(seconds)
+    jobs = [(k, {"asked": k}, None) for k in range(8 + 3 * size)]
+    found = cluster.answers(monkeypatch, jobs)
+    assert cluster.sizes == [1] * 8 + [size] * 3
+    assert [name for name, _ in found] == list(range(len(jobs)))
+    assert all(x == {"told": {"asked": k}, "model": None} for k, x in found)
+
+
+def test_jobs_of_one_task_have_one_baseline(monkeypatch):
+    pytest.importorskip("distributed")
+    cluster = Cluster(0.001, threads=1)
+    arms = ["a"] * 6 + ["b"] * 3 + [None] * 2
+    found = cluster.answers(monkeypatch, [(k, {}, x) for k, x in enumerate(arms)])
+    assert cluster.models == ["a", "b"] and cluster.sizes == [1] * 4 + [2, 3, 2]
+    assert [x["model"] for _, x in found] == [x and f"kept {x}" for x in arms]

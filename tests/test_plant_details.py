@@ -161,3 +161,19 @@ def test_windows_are_cut_out_of_their_motions_and_end_with_their_last_sample():
     np.testing.assert_array_equal(found[:, 0], [6, 7, 8, 9, 10])
     np.testing.assert_array_equal(found[:, 2], [108, 109, 110, 110, 110])
     np.testing.assert_array_equal(windows.first(signals)[:, 0], [3, 100, 104])
+
+
+def test_noise_of_positions_and_speeds_is_normal_and_white():
+    noise = Noise(
+        np.zeros((2, 2)), np.zeros(2), np.array([0.1, 0.0]), np.array([0.0, 0.5])
+    )
+    signals = {x: np.ones((20_000, 2)) for x in ("q", "v", "tau")}
+    found = noise.apply(signals, rate=100.0, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(found["tau"], 1.0)
+    for name, std in (("q", [0.1, 0.0]), ("v", [0.0, 0.5])):
+        off = found[name] - 1.0
+        np.testing.assert_allclose(off.std(axis=0), std, rtol=0.02)
+        tails = np.mean(np.abs(off) > 2 * np.array(std) + 1e-12, axis=0)
+        np.testing.assert_allclose(tails, 0.0455 * (np.array(std) > 0), atol=0.004)
+        together = np.mean(off[1:] * off[:-1], axis=0)
+        np.testing.assert_allclose(together, 0.0, atol=0.02 * max(std) ** 2)
