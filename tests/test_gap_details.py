@@ -21,6 +21,7 @@ from hybrid.diagnosis.evidence.bayes import heavy_tailed, log_bayes
 from hybrid.diagnosis.evidence.noise import noise_bound
 from hybrid.diagnosis.explanations.servo_fit import (
     _more_likely,
+    _refined,
     fit,
     fit_without_latency,
     hidden_damping,
@@ -355,6 +356,15 @@ def test_a_parameter_more_is_taken_at_odds_of_fourteen_nats(nats, taken):
     other = SimpleNamespace(left=left)
     assert (_more_likely(servo, simple, other) is other) == taken
     assert _more_likely(servo, None, other) is _more_likely(servo, other, None) is other
+
+
+def test_a_signal_that_is_zero_throughout_has_no_gain():
+    log = served()
+    blank = replace(log, own=log.own * [0.0, 1.0, 1.0, 1.0])
+    law = next(x for x in laws() if x.scaled and x.columns[1, 0] == 1.0)
+    found = _refined(blank, law, np.zeros(2), np.zeros((2, 0)))
+    np.testing.assert_allclose(found.gains, [0.0, 80.0, 5.0, 0.0, 0.3], atol=0.02)
+    assert np.isfinite(found.covariance).all()
 
 
 def test_stated_gains_are_taken_as_they_are():
