@@ -9,7 +9,12 @@ import pytest
 from arms import LIFT
 from pendulum import RATE, gap_of, pendulum, swings, with_torque
 
-from hybrid.diagnosis.gap.background import background, dry_friction, soft_friction
+from hybrid.diagnosis.gap.background import (
+    background,
+    dry_friction,
+    friction_near_rest,
+    soft_friction,
+)
 from hybrid.diagnosis.gap.coverage import not_excited
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import (
@@ -494,6 +499,14 @@ def test_soft_friction_reverses_early_by_its_lead():
     for k, (lead, knee) in enumerate([(0, 0.1), (0, 0.5), (0.25, 0.1), (0.25, 0.5)]):
         law = np.clip((t + lead) / knee, -1.0, 1.0) - np.sign(t)
         np.testing.assert_allclose(found[:, k], law)
+
+
+def test_friction_near_rest_has_four_knees_and_is_late_or_early_by_a_hundredth():
+    gap = gap_of(Coulomb((0,), {"level": 0.8}))
+    (columns,), (sizes,) = friction_near_rest(gap)
+    stated = (0.003, 0.01, 0.017, 0.03), (0.0, 0.01)
+    np.testing.assert_array_equal(columns[0], soft_friction(gap, 0, *stated))
+    np.testing.assert_allclose(sizes, np.full(8, dry_friction(gap)[0]))
 
 
 def test_a_gap_knows_its_rate_and_what_was_measured():

@@ -296,12 +296,22 @@ def test_a_factor_is_common_within_a_twentieth():
     assert len(sped(2.0)) == 1 and "v1 (a) is 2 times" in sped(2.0)[0][1]
 
 
-@pytest.mark.parametrize(("off", "near"), [(1.04, True), (1.06, False)])
+@pytest.mark.parametrize(("off", "near"), [(1.0496, True), (1.0504, False)])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_factor_is_that_of_a_unit_within_a_twentieth(off, near, way):
-    factor = 180 / np.pi * off**way
+@pytest.mark.parametrize(
+    ("unit", "looks"),
+    [
+        (180 / np.pi, "speeds look to be in degrees per second"),
+        (30 / np.pi, "speeds look to be in revolutions per minute"),
+        (np.pi / 180, "positions look to be in degrees"),
+        (1e3, "time looks to be in milliseconds"), (1e6, "in microseconds"),
+        (1e9, "in nanoseconds"),
+    ],
+)  # fmt: skip
+def test_a_factor_is_that_of_a_unit_within_a_twentieth(unit, looks, off, near, way):
+    factor = unit * off**way
     ((_, text),) = sped(factor, factor)
-    assert ("degrees per second" in text) == near
+    assert (looks in text) == near
 
 
 @pytest.mark.parametrize(("size", "told"), [(0.0095, False), (0.0105, True)])
