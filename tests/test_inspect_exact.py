@@ -406,6 +406,16 @@ def test_a_scale_is_that_of_the_links_beside_friction_and_an_offset():
     assert np.isnan(scales(bare, weak)).all()
 
 
+def test_inertia_alone_is_no_scale_where_the_file_has_no_rotor():
+    """A rotor that it lacks would explain all of it."""
+    arm = pendulum(1)
+    none = {"gravity": np.zeros(3), "armature": np.zeros(1)}
+    arm = replace(arm, chain=replace(arm.chain, **none))
+    assert np.isnan(scales(arm, asked(arm, 2.0))).all()
+    rotor = replace(arm, chain=replace(arm.chain, armature=np.ones(1)))
+    np.testing.assert_allclose(scales(rotor, asked(rotor, 2.0)), [2.0])
+
+
 def scale_doubts(arm, factor):
     state = asked(arm, np.array(factor))
     recording = Recording(
