@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pendulum import gap_of, pendulum
 
+from hybrid.diagnosis.advice import menu as menu_module
 from hybrid.diagnosis.advice import separation
 from hybrid.diagnosis.advice.advise import (
     Discriminations,
@@ -28,22 +29,30 @@ from hybrid.diagnosis.advice.menu import (
 )
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
+    fit_rival,
     required_evidence,
     tried_shapes,
 )
 from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import simulated_torque
+from hybrid.diagnosis.gap.split import split
+from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.encoder_eccentricity import EncoderEccentricity
+from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_gain import TorqueGain
+from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ExcitationError, HybridError
 from hybrid.plant.reference import Reference
 from hybrid.robot.spatial import central_inertia
+
+KEPT = "duration", "fill", "fundamental", "hold", "longest"
 
 
 def path(seconds=4.0, rate=100.0, speed=1.0, size=1):
@@ -231,7 +240,7 @@ def test_tries_are_smaller_and_their_postures_are_within_the_range():
 
 
 def test_poses_are_eight_and_the_first_again_or_at_least_four():
-    for most, count in ((8, 9), (5, 6), (4, 5), (3, None)):
+    for most, count in ((20, 9), (8, 9), (5, 6), (4, 5), (3, None)):
         made = Menu(pendulum(2), np.random.default_rng(0), rate=50.0)
         seen = []
 
@@ -383,6 +392,35 @@ def test_rivals_are_apart_by_what_the_other_cannot_make_good():
     assert view.separation(first, Lines([3.0, 0.0], 2.0, 1.0)) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("effect", "cost"),
+    [(Coulomb((0,)), 0.0), (Stribeck((0,), {"velocity": 0.3}), 4.0)],
+)
+def test_a_rival_has_the_evidence_of_its_effect_beside_all_others(effect, cost):
+    true = Coulomb((0,), {"level": 1.0}), TorqueOffset((0,), {"level": -1.0})
+    gap = gap_of(*true)
+    kept = {x.id for x in (*true, Viscous((0,)))}
+    at = Search(gap, split(gap), [x for x in effect_classes() if x not in kept])
+    at.causes = [at.cause(candidate(gap, x)) for x in true]
+    term, other = at.terms
+    found = fit_rival(at, term, candidate(gap, effect))
+    base = np.concatenate([at.rigid, other.index])
+    (own,) = at.evidence.add([gap.columns(effect)], [candidate(gap, effect).std])
+    both = at.evidence.solve(np.concatenate([base, own]))
+    alone = at.evidence.solve(base).evidence
+    assert found.evidence == pytest.approx(both.evidence - alone - cost)
+    (level,) = found.effect.gain_values
+    assert level == pytest.approx(both.gains[-1]) and len(found.others) == 1
+    np.testing.assert_allclose(found.prior, at.evidence.precision[base])
+    shapes = len(effect.shapes)
+    np.testing.assert_allclose(found.gains, [*both.gains, *np.zeros(shapes)])
+    assert found.precision.shape == (len(base) + 1 + shapes,) * 2
+    A, _ = at.evidence.normal(np.concatenate([base, own]))
+    inner = found.precision[: len(A), : len(A)]
+    prior = np.diag(at.evidence.precision[both.index])
+    np.testing.assert_allclose(inner - A, prior, atol=1e-6)
+
+
 def test_evidence_that_is_required_is_a_hundred_to_one_or_three_percent():
     assert required_evidence(0.0) == pytest.approx(np.log(100.0))
     assert required_evidence(100.0) == pytest.approx(np.log(100.0))
@@ -427,7 +465,7 @@ def test_one_gain_is_iterated_where_the_torque_is_linear_near_it_only(
     view = Discrimination([], None, SimpleNamespace(gap=gap_of()))
     monkeypatch.setattr(view, "_evidence_at", evidence)
     found = view._best_evidence(None, candidate(gap_of(), effect))
-    assert found == len(seen) == (1 + separation._ITERATIONS if moves else 1)
+    assert found == len(seen) == (5 if moves else 1)
     assert (len({tuple(x.values.values()) for x in seen}) > 2) == moves
 
 
@@ -641,3 +679,43 @@ def test_findings_of_a_servo_that_are_alike_ask_for_other_gains():
         "run with other gains (10 s)", ("controller_gain", "command_latency"), 0.0
     )
     assert plans("controller_gain") == [] and plans("coulomb", "viscous") == []
+
+
+def test_the_menu_asks_for_motions_of_some_length_and_share_of_the_limits(monkeypatch):
+    """In the second try, which is smaller."""
+    asked = []
+
+    def noted(name):
+        def make(robot, *args, **given):
+            asked.append((name, {k: x for k, x in given.items() if k in KEPT}))
+            return path()
+
+        return make
+
+    for name in (
+        "random_fourier", "static_poses", "multisine", "speed_ladder",
+        "micro_reversals",
+    ):  # fmt: skip
+        monkeypatch.setattr(menu_module, name, noted(name))
+    monkeypatch.setattr(menu_module, "at_speeds", lambda robot, path: [path])
+    made = Menu(pendulum(2), np.random.default_rng(0), rate=50.0)
+    made.__dict__["envelope"] = SimpleNamespace(
+        limits=Envelope.of(pendulum(2)).limits,
+        first_safe=lambda make, arm=None: make(1),
+    )
+    made._poses = lambda: None
+    assert len(made.of_all_joints) == 7
+    random = {"fundamental": 0.1, "duration": 20.0, "fill": 0.6 * 0.85}
+    assert asked == [
+        ("random_fourier", random | {"duration": 10.0, "fill": 0.2 * 0.85}),
+        ("static_poses", {"hold": 0.5}),
+        ("multisine", {"fill": 0.5 * 0.85}),
+        ("random_fourier", random | {"fill": 0.8 * 0.85}),
+        *[("random_fourier", random)] * 3,
+    ]
+    asked.clear()
+    made.ladder(0), made.about(1)
+    assert asked == [
+        ("speed_ladder", {"longest": 4.0}), ("micro_reversals", {}),
+        ("speed_ladder", {"longest": 2.0}),
+    ]  # fmt: skip

@@ -838,9 +838,8 @@ def test_without_a_cause_a_gap_is_unexplained_if_anything_is_missed():
 
 
 def test_causes_of_other_joints_do_not_explain_a_joint():
-    least = diagnose_module._MISSED
-    for part, word in ((1.1, "partly_explained"), (0.9, "explained")):
-        missed = part * least / (1 - part * least)
+    for part, word in ((0.055, "partly_explained"), (0.045, "explained")):
+        missed = part / (1 - part)
         assert verdict([1.0, 0.0], [0.0, missed])[0] == word
     mostly = verdict([1.0, 0.06], [0.0, 0.05])  # more of it is explained
     assert mostly[0] == "explained"

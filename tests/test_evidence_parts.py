@@ -66,6 +66,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.recording import Recording
+from hybrid.signals import autocorrelation_time
 
 # --- contacts -------------------------------------------------------------------------
 
@@ -549,6 +550,15 @@ def test_errors_of_laws_and_simulators_are_parts_of_the_gap_and_of_the_torque():
         model.apply(none)
         found.append(evidence.noise[0])
         assert model.covariances[0].shape == (17,)
+        errors = 0.03**2 * autocovariance(left[:, 0], np.arange(400), 16)
+        if subtracted is not None:
+            more = autocovariance(subtracted[:, 0], np.arange(400), 16)
+            errors = errors + 0.1**2 * more
+        whole = evidence.covariances[0] + errors
+        torque = measured[:, 0] - measured.mean()
+        memory = autocorrelation_time(torque, np.arange(400))
+        whole[0] += errors[0] + 0.002**2 * np.mean(torque**2) * memory
+        np.testing.assert_allclose(model.covariances[0], floored(whole, 0.5))
     law, solver = 0.03**2 * np.mean(left**2), 0.002**2 * np.var(measured)
     assert found[0] == pytest.approx(0.5 + law + solver, rel=5e-3)
     real = 0.1**2 * np.mean(gap.subtracted**2)

@@ -23,6 +23,7 @@ from hybrid.fleets.plan import (
     plan_from_dict,
 )
 from hybrid.fleets.pooling import _mean_and_spread, _p_value, pooled
+from hybrid.fleets.run import answers
 from hybrid.fleets.scatter import (
     Scatter,
     _differences,
@@ -59,13 +60,14 @@ def test_an_arm_is_compared_with_all_others():
     )
 
 
-def test_arms_are_drawn_to_the_mean_by_how_unsure_they_are():
-    y, s = np.array([0.0, 2.0, 4.0, 10.0]), np.ones(4)
+@pytest.mark.parametrize("s", [np.ones(4), np.array([0.5, 1.0, 2.0, 3.0])])
+def test_arms_are_drawn_to_the_mean_by_how_unsure_they_are(s):
+    y = np.array([0.0, 2.0, 4.0, 10.0])
     found = pooled(y, s)
     mean, spread, error = _mean_and_spread(y, s)
-    weight = spread**2 / (spread**2 + 1.0)
+    weight = spread**2 / (spread**2 + s * s)
     np.testing.assert_allclose(found.value, weight * y + (1 - weight) * mean)
-    std = np.sqrt(weight + (1 - weight) ** 2 * error**2)
+    std = np.sqrt(weight * s * s + (1 - weight) ** 2 * error**2)
     np.testing.assert_allclose(found.std, std)
     assert not found.unlike.any()
     far = pooled(np.array([0.0, 0.1, -0.1, 0.05, -0.05, 50.0]), 0.1 * np.ones(6))
@@ -255,6 +257,15 @@ def test_logs_are_in_the_order_of_their_days_and_hidden_ones_are_none(tmp_path):
     assert [x[0] for x in both] == ["2026-01-09", "2026-01-05"]
 
 
+def test_logs_of_one_day_are_in_the_order_of_their_names(tmp_path):
+    table = {}
+    for day, name in (("2026-01-05", "x/b.csv"), ("20260105", "y/a.csv")):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(name)
+        table[day] = tmp_path / name
+    assert list(periods(ArmPlan("a", table, "arm.xml"), "log")) == ["a.csv", "b.csv"]
+
+
 def test_a_plan_has_defaults_for_all_arms_and_numbers_of_its_own(tmp_path):
     content = {
         "robot": "arm.xml", "payload": 1.5, "period": "month", "time_limit": 60,
@@ -309,3 +320,92 @@ def test_a_question_that_fails_is_answered_and_the_next_one_too():
     ready, failed, right = told
     assert ready == {} and right == {"is": 1}
     assert failed["reason"].startswith("ZeroDivisionError: ")
+
+
+@pytest.mark.parametrize(("arms", "told"), [(3, False), (4, True)])
+def test_of_four_arms_one_may_be_unlike_the_others(arms, told):
+    y = np.append(0.001 * np.arange(arms - 1.0), 900.0)
+    assert pooled(y, np.full(arms, 0.01)).unlike.tolist() == [False] * (arms - 1) + [
+        told
+    ]
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.97, False), (1.03, True)])
+def test_one_group_in_a_hundred_has_an_outlier_by_chance(times, told):
+    """Of five arms each at a fifth of it, on both sides of Student's law."""
+    from scipy.stats import t
+
+    far = t.isf(0.01 / 5 / 2, 3) * np.sqrt(0.25 + 1.0)
+    y = np.append(np.zeros(4), times * far)
+    assert pooled(y, np.ones(5)).unlike.any() == told
+
+
+def test_an_alarm_looks_back_over_a_year_of_weeks():
+    """What was not a number at the begin spoils each score that it is in."""
+    t = 7.0 * np.arange(80)
+    y = 100.0 * (t >= t[20])
+    y[0] = np.nan
+    assert _first_alarm(t, y, np.ones(80), 4.0, None, 0) == 52
+
+
+class Cluster:
+    """A scheduler whose tasks end in their order, after some seconds for each job."""
+
+    def __init__(self, seconds, threads=2):
+        self.seconds, self.threads = seconds, threads
+        self.sizes, self.models, self.tasks = [], [], []
+
+    def nthreads(self):
+        return {"one": self.threads - 1, "other": 1}
+
+    def submit(self, function, first, *rest, **options):
+        if function is str:
+            self.models.append(first)
+            return f"kept {first}"
+        self.sizes.append(len(first))
+        self.tasks.append((first, rest[0]))
+        return len(self.tasks) - 1
+
+    def completed(self, futures, with_results, raise_errors):
+        waiting = list(futures)
+
+        class Running:
+            def update(self, more):
+                waiting.extend(more)
+
+            def __iter__(this):
+                while waiting:
+                    future = waiting.pop(0)
+                    told, model = self.tasks[future]
+                    found = [{"told": x, "model": model} for x in told]
+                    yield future, (found, self.seconds * len(told))
+
+        return Running()
+
+    def answers(self, monkeypatch, jobs):
+        monkeypatch.setattr("distributed.as_completed", self.completed)
+        return list(answers(self, iter(jobs), 9.0))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "size"), [(9.0, 1), (0.14, 2), (0.04, 7), (0.001, 32), (0.0, 32)]
+)
+def test_tasks_last_three_tenths_of_a_second_and_four_wait_for_each_thread(
+    monkeypatch, seconds, size
+):
+    pytest.importorskip("distributed")
+    cluster = Cluster(seconds)
+    jobs = [(k, {"asked": k}, None) for k in range(8 + 3 * size)]
+    found = cluster.answers(monkeypatch, jobs)
+    assert cluster.sizes == [1] * 8 + [size] * 3
+    assert [name for name, _ in found] == list(range(len(jobs)))
+    assert all(x == {"told": {"asked": k}, "model": None} for k, x in found)
+
+
+def test_jobs_of_one_task_have_one_baseline(monkeypatch):
+    pytest.importorskip("distributed")
+    cluster = Cluster(0.001, threads=1)
+    arms = ["a"] * 6 + ["b"] * 3 + [None] * 2
+    found = cluster.answers(monkeypatch, [(k, {}, x) for k, x in enumerate(arms)])
+    assert cluster.models == ["a", "b"] and cluster.sizes == [1] * 4 + [2, 3, 2]
+    assert [x["model"] for _, x in found] == [x and f"kept {x}" for x in arms]

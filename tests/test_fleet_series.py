@@ -185,3 +185,18 @@ def test_a_change_is_the_fit_by_least_squares_and_its_dates_a_ratio_of_likelihoo
     assert x.score == pytest.approx(fit / std)
     within = [k for k in known if known[k] - known[best] <= 3.84]
     assert (x.earliest, x.latest) == (DAYS[within[0]], DAYS[within[-1]])
+
+
+def test_in_a_fleet_the_temperature_of_one_arm_alone_explains_nothing():
+    """The slope is that of all arms; alone, each would have one of its own."""
+    rng = np.random.default_rng(4)
+    warm = 30.0 + rng.standard_normal((8, WEEKS))
+    warm[3] = 30.0 + 5.0 * LATE
+    y = np.zeros((8, WEEKS))
+    y[3] = 0.5 * LATE
+    many = series(y, warm=warm)
+    many.remove_common()
+    assert [len(x.changes) for x in states(many)] == [0] * 3 + [1] + [0] * 4
+    few = series(y[2:4], warm=warm[2:4])
+    few.remove_common()
+    assert [len(x.changes) for x in states(few)] == [0, 0]

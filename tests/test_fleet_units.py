@@ -17,6 +17,7 @@ from hybrid.fleets.estimate import (
     _noise_weights,
     _payload_covariance,
     _posterior,
+    _prior,
     deviations,
     followed,
 )
@@ -24,6 +25,7 @@ from hybrid.fleets.plan import ArmPlan, Plan, periods, read_plan
 from hybrid.fleets.store import Store, run_plan
 from hybrid.fleets.worker import LATE, LOST, REFUSED
 from hybrid.identification import DynamicModel
+from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
 
 DAYS = {"2026-01-05": "W02", "2026-01-06": "W02", "2026-02-02": "W06"}
@@ -179,6 +181,25 @@ def test_without_a_tool_a_body_is_at_the_middle_of_the_last_link():
     )
 
 
+def test_links_are_known_to_a_twentieth_or_as_the_baseline_says():
+    """And effects to their usual size at each joint."""
+    known = model(2)
+    effects = followed(("coulomb", "torque_gain.gain"), 2)
+    prior = _prior(known, [0, 2], effects, ())
+    values, scales = known.base.values[[0, 2]], joint_scales(known.robot)
+    sizes = [
+        gain.spread or abs(gain.typical)
+        for effect, _ in effects
+        for gain in (g.scaled(scales[effect.joints[0]]) for g in effect.gains)
+    ]
+    std = np.array([*np.abs(0.05 * values), *sizes])
+    np.testing.assert_allclose(prior, np.diag(std**2))
+    assert (std[2:] > 0).all() and len(std) == 2 + 2 + 2
+    stated = np.diag(np.arange(1.0, len(known.base.values) + 1.0))
+    prior = _prior(replace(known, covariance=stated), [0, 2], effects, ())
+    np.testing.assert_allclose(np.diag(prior)[:2], [1.0, 3.0])
+
+
 def test_a_posterior_is_that_of_regression_with_a_prior():
     rng = np.random.default_rng(0)
     prior = np.diag([4.0, 0.25])
@@ -303,3 +324,21 @@ def test_a_plan_says_what_is_not_valid(tmp_path, more, line):
     (tmp_path / "plan.yaml").write_text(text)
     with pytest.raises(HybridError, match=line):
         read_plan(tmp_path / "plan.yaml")
+
+
+def test_one_of_the_first_four_periods_becomes_the_baseline():
+    logs = {
+        f"2026-W0{k}": [(f"2026-01-0{k}", f"{k}.csv", f"is {k}")] for k in range(1, 7)
+    }
+    arm = ArmPlan("a", "logs", "arm.xml", joints=("x", "y"), map="ur")
+    unit, message = stores._baseline_unit(arm, logs)
+    assert message == {
+        "task": "baseline", "robot": "arm.xml", "joints": ["x", "y"], "map": "ur",
+        "periods": [[f"2026-W0{k}", [f"{k}.csv"]] for k in (1, 2, 3, 4)],
+    }  # fmt: skip
+    assert unit.logs == tuple((f"{k}.csv", f"is {k}") for k in (1, 2, 3, 4))
+    own, message = stores._baseline_unit(replace(arm, baseline="2026-W05"), logs)
+    assert [name for name, _ in message["periods"]] == ["2026-W05"]
+    assert own.key != unit.key
+    with pytest.raises(HybridError, match="valid are 'first', a model's .json, or a"):
+        stores._baseline_unit(replace(arm, baseline="2026-W09"), logs)

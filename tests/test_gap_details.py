@@ -20,6 +20,8 @@ from hybrid.diagnosis.answer.regions import (
 from hybrid.diagnosis.evidence.bayes import heavy_tailed, log_bayes
 from hybrid.diagnosis.evidence.noise import noise_bound
 from hybrid.diagnosis.explanations.servo_fit import (
+    _more_likely,
+    _refined,
     fit,
     fit_without_latency,
     hidden_damping,
@@ -34,6 +36,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.recording import Recording
+from hybrid.signals import autocorrelation_time
 
 CUTOFF = 10.0
 T = np.arange(0.0, 20.0, 1 / RATE)
@@ -338,6 +341,30 @@ def test_without_its_latency_a_law_leaves_more_and_evidence_says_by_how_much():
         == 0.0
     )
     assert log_likelihood_ratio(log, found, less) < 0.0
+    assert not found.law.scaled and not less.law.scaled
+    off = served(late=0.04, feed=0.85)
+    found = fit(off, list(laws()), immediate=False)
+    assert found.law.scaled and fit_without_latency(off, list(laws()), found).law.scaled
+
+
+@pytest.mark.parametrize(("nats", "taken"), [(13.9, False), (14.1, True)])
+def test_a_parameter_more_is_taken_at_odds_of_fourteen_nats(nats, taken):
+    servo = SimpleNamespace(row=np.arange(500))
+    left = np.random.default_rng(0).standard_normal(500)
+    count = 500 / autocorrelation_time(left, servo.row)
+    simple = SimpleNamespace(left=left * np.exp(nats / count))
+    other = SimpleNamespace(left=left)
+    assert (_more_likely(servo, simple, other) is other) == taken
+    assert _more_likely(servo, None, other) is _more_likely(servo, other, None) is other
+
+
+def test_a_signal_that_is_zero_throughout_has_no_gain():
+    log = served()
+    blank = replace(log, own=log.own * [0.0, 1.0, 1.0, 1.0])
+    law = next(x for x in laws() if x.scaled and x.columns[1, 0] == 1.0)
+    found = _refined(blank, law, np.zeros(2), np.zeros((2, 0)))
+    np.testing.assert_allclose(found.gains, [0.0, 80.0, 5.0, 0.0, 0.3], atol=0.02)
+    assert np.isfinite(found.covariance).all()
 
 
 def test_stated_gains_are_taken_as_they_are():

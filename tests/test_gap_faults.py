@@ -158,6 +158,14 @@ def test_only_the_last_five_steps_say_that_it_stopped_suddenly():
         assert _frozen(np.cumsum(steps), 10).any() == frozen
 
 
+@pytest.mark.parametrize(("moved", "frozen"), [(1, False), (2, True), (4, True)])
+def test_a_step_long_before_a_stop_is_enough_at_the_begin_of_a_log(moved, frozen):
+    """The last one, in which it stops, says nothing."""
+    steps = np.ones(300)
+    steps[moved : moved + 29] = 0.0
+    assert _frozen(np.append(0.0, np.cumsum(steps)), 10).any() == frozen
+
+
 def test_a_usual_run_is_the_third_longest_of_three_or_more():
     assert _usual_run(np.repeat([0, 1, 2, 3], [4, 6, 5, 1])) == 12
     assert _usual_run(np.repeat([0, 1, 2], [4, 6, 5])) == 0

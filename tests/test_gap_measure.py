@@ -9,7 +9,12 @@ import pytest
 from arms import LIFT
 from pendulum import RATE, gap_of, pendulum, swings, with_torque
 
-from hybrid.diagnosis.gap.background import background, dry_friction, soft_friction
+from hybrid.diagnosis.gap.background import (
+    background,
+    dry_friction,
+    friction_near_rest,
+    soft_friction,
+)
 from hybrid.diagnosis.gap.coverage import not_excited
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import (
@@ -221,6 +226,25 @@ def test_torque_is_the_measured_one_where_both_differ_by_far():
         asked = _asked(replace(m, tau=tau), simulated, CUTOFF)
         assert (asked[:900] == simulated[:900]).all()
         assert (asked[1100:] == (tau if far else simulated)[1100:]).mean() > 0.9
+
+
+def test_torque_is_far_from_ten_deviations_of_the_noise_on():
+    """Sample by sample, by the median of its upper half band."""
+    (m, *_) = swings(count=1, seconds=20.0)
+    rough = 0.01 * np.random.default_rng(3).standard_normal(m.tau.shape)
+    low = butterworth(rough, rate=RATE, cutoff=CUTOFF / 2)
+    band = butterworth(rough, rate=RATE, cutoff=CUTOFF) - low
+    far = 10.0 * 1.4826 * np.median(np.abs(band))
+    zero = np.zeros_like(rough)
+    asked = _asked(replace(m, tau=far + rough), zero, CUTOFF)
+    expected = np.abs(far + low) > far
+    np.testing.assert_array_equal(asked, np.where(expected, far + rough, zero))
+    assert 0.3 < expected.mean() < 0.7
+    # Where the mask is, noise is estimated.
+    mask = np.arange(len(m.t)) < 500
+    some = 10.0 * 1.4826 * np.median(np.abs(band[mask]))
+    asked = _asked(replace(m, tau=far + rough, mask=mask), zero, CUTOFF)
+    np.testing.assert_array_equal(asked != 0, np.abs(far + low) > some)
 
 
 def test_faults_spoil_what_the_filter_reaches():
@@ -475,6 +499,14 @@ def test_soft_friction_reverses_early_by_its_lead():
     for k, (lead, knee) in enumerate([(0, 0.1), (0, 0.5), (0.25, 0.1), (0.25, 0.5)]):
         law = np.clip((t + lead) / knee, -1.0, 1.0) - np.sign(t)
         np.testing.assert_allclose(found[:, k], law)
+
+
+def test_friction_near_rest_has_four_knees_and_is_late_or_early_by_a_hundredth():
+    gap = gap_of(Coulomb((0,), {"level": 0.8}))
+    (columns,), (sizes,) = friction_near_rest(gap)
+    stated = (0.003, 0.01, 0.017, 0.03), (0.0, 0.01)
+    np.testing.assert_array_equal(columns[0], soft_friction(gap, 0, *stated))
+    np.testing.assert_allclose(sizes, np.full(8, dry_friction(gap)[0]))
 
 
 def test_a_gap_knows_its_rate_and_what_was_measured():

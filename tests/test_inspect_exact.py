@@ -20,8 +20,13 @@ from hybrid.inspect.doubt import raise_or_warn
 from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import clock_of
 from hybrid.inspect.masses import MassColumns, smooth_sign, unit_masses
-from hybrid.inspect.physics import doubts_of_magnitude, doubts_of_physics
+from hybrid.inspect.physics import (
+    _Readings,
+    doubts_of_magnitude,
+    doubts_of_physics,
+)
 from hybrid.inspect.positions import doubts_of_positions
+from hybrid.inspect.reading import OtherReading
 from hybrid.inspect.samples import (
     doubts_of_samples,
     large_step,
@@ -401,6 +406,16 @@ def test_a_scale_is_that_of_the_links_beside_friction_and_an_offset():
     assert np.isnan(scales(bare, weak)).all()
 
 
+def test_inertia_alone_is_no_scale_where_the_file_has_no_rotor():
+    """A rotor that it lacks would explain all of it."""
+    arm = pendulum(1)
+    none = {"gravity": np.zeros(3), "armature": np.zeros(1)}
+    arm = replace(arm, chain=replace(arm.chain, **none))
+    assert np.isnan(scales(arm, asked(arm, 2.0))).all()
+    rotor = replace(arm, chain=replace(arm.chain, armature=np.ones(1)))
+    np.testing.assert_allclose(scales(rotor, asked(rotor, 2.0)), [2.0])
+
+
 def scale_doubts(arm, factor):
     state = asked(arm, np.array(factor))
     recording = Recording(
@@ -561,6 +576,23 @@ def test_a_torque_without_its_sign_is_told_at_its_joint(seed):
     assert not list(doubts_of_magnitude(whole, arm, state))
     far = replace(recording, tau=tau + 0.2 * tau.max(axis=0))
     assert not list(doubts_of_magnitude(far, arm, replace(state, tau=far.tau)))
+
+
+def test_links_of_a_file_leave_what_another_law_of_friction_leaves():
+    """Three thousandths of the variance at least; any masses leave a thousandth."""
+    arm = pendulum(2)
+    chain, state = arm.chain, asked(arm)
+    log = _Readings(
+        chain, state, {"any": unit_masses(chain), "file": chain.inertial[:, :, None]}
+    )
+    written = OtherReading((), (), "", np.arange(2), np.ones(2))
+    log.add_regressors([written])
+    for masses, least in (("any", 1e-3), ("file", 3e-3)):
+        np.testing.assert_allclose(log.residual(written, masses), least, rtol=1e-6)
+        np.testing.assert_allclose(log.residual(written, masses, 1), least, rtol=1e-6)
+    for blocks in (2, 4, 8):
+        assert (log.unseen(written, "file", blocks) >= 3e-3).all()
+        assert log.unseen(written, "any", blocks).min() < 2.9e-3
 
 
 def read_wrong(change, arm):

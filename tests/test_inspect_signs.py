@@ -91,3 +91,120 @@ def test_a_scale_of_time_has_to_explain_more_than_one_joint():
     assert worse == pytest.approx(-np.log(2.0))
     one = reading(factor=(1.0,), clock=0.5)
     assert _gain(before[:1], after[1:], one) == pytest.approx(0.5 * np.log(10.0))
+
+
+# --- which reading is better ----------------------------------------------------------
+
+
+class Told:
+    """Residuals of readings that gain stated amounts at the first of two joints.
+
+    ``first`` are gains by fits without weights, and ``unseen`` on samples not seen.
+    """
+
+    def __init__(self, gains, first=None, unseen=lambda blocks: 9.0, before=0.9):
+        self.gains = gains if isinstance(gains, dict) else {"any": gains}
+        self.first, self.unseen_gain, self.before = first, unseen, before
+        self.masses = dict.fromkeys(self.gains)
+        self.chain = SimpleNamespace(size=2)
+        self.state = SimpleNamespace(q=np.array([[0.0, 0.0], [1.0, 1.0]]))
+
+    def add_regressors(self, readings):
+        assert len(readings) > 0
+
+    def columns(self, *_):
+        return SimpleNamespace(residual_of_pairs=lambda: np.ones((2, 2)))
+
+    def left(self, gain):
+        return np.array([self.before * np.exp(-2 * gain), self.before])
+
+    def residual(self, reading, masses, rounds=2):
+        if not hasattr(reading, "number"):
+            return self.left(0.0)
+        gains = self.first if self.first and rounds == 1 else self.gains[masses]
+        return self.left(gains[reading.number])
+
+    def unseen(self, reading, masses, blocks):
+        named = hasattr(reading, "number")
+        return self.left(self.unseen_gain(blocks) if named else 0.0)
+
+    def better(self, *, of_time=-1, clock_is_right=False):
+        """Number, masses and severity of the better reading; None without one."""
+        count = len(next(iter(self.gains.values())))
+        listed = [
+            SimpleNamespace(
+                number=k,
+                channels=("t" if k == of_time else "tau",),
+                clock=1.0,
+                factor=np.ones(2),
+            )
+            for k in range(count)
+        ]
+        with pytest.MonkeyPatch.context() as m:
+            m.setattr(physics, "readings", lambda *_: listed)
+            found = physics._better_reading(self, clock_is_right)
+        return found and (found[0].number, *found[3:])
+
+
+def test_a_reading_is_better_by_half_a_nat_and_on_unseen_samples_by_a_fifth():
+    assert Told([0.49]).better() is None
+    assert Told([0.51]).better() == (0, "any", "error")
+    for unseen, severity in ((0.51, "error"), (0.49, "warning"), (0.21, "warning")):
+        assert Told([1.0], unseen=lambda b, x=unseen: x).better()[2] == severity
+    assert Told([1.0], unseen=lambda b: 0.19).better() is None
+    assert Told([0.6, 1.2, 0.9]).better()[0] == 1
+
+
+@pytest.mark.parametrize("blocks", [2, 4, 8])
+def test_a_log_is_split_in_three_ways_and_the_least_gain_counts(blocks):
+    assert Told([1.0], unseen=lambda b: 0.1 if b == blocks else 9.0).better() is None
+    assert Told([1.0], unseen=lambda b: 9.0 if b in (2, 4, 8) else 0.1).better()
+
+
+def test_six_readings_are_fitted_with_weighted_joints():
+    first = [1.0, 0.9, 0.8, 0.7, 0.6, 0.55, 0.5]
+    assert Told([0.6] * 5 + [1.5, 0.6], first).better()[0] == 5
+    assert Told([0.6] * 6 + [1.5], first).better()[0] == 0
+
+
+def test_what_only_the_files_links_tell_is_a_warning():
+    """And only of readings that masses do not rule out."""
+    told = {"any": [0.0, -0.19], "file": [1.0, 1.5]}
+    assert Told(told).better() == (1, "file", "warning")
+    ruled_out = {"any": [0.0, -0.21], "file": [1.0, 1.5]}
+    assert Told(ruled_out).better() == (0, "file", "warning")
+    assert Told({"any": [-0.3], "file": [1.5]}).better() is None
+
+
+def test_a_log_that_nothing_could_improve_is_not_looked_into():
+    """By friction that is another law: three thousandths of the variance."""
+    for nats, looked in ((0.24, False), (0.26, True)):
+        assert bool(Told([9.0], before=0.003 * np.exp(2 * nats)).better()) == looked
+
+
+def test_a_clock_that_speeds_confirm_has_no_other_reading():
+    told = Told([1.5, 1.0])
+    assert told.better(of_time=0)[0] == 0
+    assert told.better(of_time=0, clock_is_right=True)[0] == 1
+
+
+@pytest.mark.parametrize("most", [2, 6])
+def test_a_log_has_four_faults_at_most(monkeypatch, most):
+    """Each is undone before the next one is sought."""
+    found = []
+
+    def better(log, clock_is_right):
+        if len(found) == most:
+            return None
+        found.append(log.state)
+        return SimpleNamespace(of=lambda state: state + 1), None, None, "any", "error"
+
+    log = Recording(RISING, RISING[:, None], tau=RISING[:, None])
+    monkeypatch.setattr(
+        physics, "_Readings", lambda chain, state, _: SimpleNamespace(state=state)
+    )
+    monkeypatch.setattr(physics, "_better_reading", better)
+    monkeypatch.setattr(physics, "_doubt", lambda *_: "doubt")
+    monkeypatch.setattr(physics, "speeds_confirm_clock", lambda state: True)
+    doubts = list(physics.doubts_of_physics(log, pendulum(1), 0))
+    assert doubts == ["doubt"] * min(most, 4) and found == list(range(min(most, 4)))

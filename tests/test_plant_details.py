@@ -1,7 +1,10 @@
 """Parts of the plant by themselves: references, servos, noise, and what they refuse."""
 
+import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from pendulum import pendulum
@@ -14,10 +17,12 @@ from hybrid.errors import ExcitationError, HybridError
 from hybrid.excitation import Limits
 from hybrid.plant import Noise, Reference, random_fourier
 from hybrid.plant.arm import build_arm
+from hybrid.plant.install import install
 from hybrid.plant.laws import Laws
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.rollout import Windows
 from hybrid.plant.servo import Servo
+from hybrid.robot import Robot
 
 RATE, SAMPLES = 500.0, 100_000
 
@@ -161,3 +166,49 @@ def test_windows_are_cut_out_of_their_motions_and_end_with_their_last_sample():
     np.testing.assert_array_equal(found[:, 0], [6, 7, 8, 9, 10])
     np.testing.assert_array_equal(found[:, 2], [108, 109, 110, 110, 110])
     np.testing.assert_array_equal(windows.first(signals)[:, 0], [3, 100, 104])
+
+
+def test_noise_of_positions_and_speeds_is_normal_and_white():
+    noise = Noise(
+        np.zeros((2, 2)), np.zeros(2), np.array([0.1, 0.0]), np.array([0.0, 0.5])
+    )
+    signals = {x: np.ones((20_000, 2)) for x in ("q", "v", "tau")}
+    found = noise.apply(signals, rate=100.0, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(found["tau"], 1.0)
+    for name, std in (("q", [0.1, 0.0]), ("v", [0.0, 0.5])):
+        off = found[name] - 1.0
+        np.testing.assert_allclose(off.std(axis=0), std, rtol=0.02)
+        tails = np.mean(np.abs(off) > 2 * np.array(std) + 1e-12, axis=0)
+        np.testing.assert_allclose(tails, 0.0455 * (np.array(std) > 0), atol=0.004)
+        together = np.mean(off[1:] * off[:-1], axis=0)
+        np.testing.assert_allclose(together, 0.0, atol=0.02 * max(std) ** 2)
+
+
+RISING = """<mujoco><option timestep="0.002"/><worldbody>
+<body name="x"><joint name="a" axis="0 1 0" frictionloss="1" damping="0.2"
+ solreffriction="0 -40" stiffness="2" springref="10"/><geom size="0.1" mass="1"/>
+<body name="y"><joint name="b" axis="0 1 0" frictionloss="0.5"/>
+<geom size="0.1" mass="1"/></body></body></worldbody>
+<tendon><fixed name="c" frictionloss="0.3"><joint joint="a" coef="1"/></fixed>
+</tendon></mujoco>"""
+
+
+def test_friction_that_rises_is_dry_while_a_model_is_installed():
+    model = mujoco.MjModel.from_xml_string(RISING)
+    before = copy.deepcopy(model)
+    known = SimpleNamespace(robot=Robot.load(before), effects=(), remainder=None)
+    made = install(model, mujoco.MjData(model), known)
+    np.testing.assert_allclose(model.dof_solref, [[0.004, 1.0], before.dof_solref[1]])
+    np.testing.assert_allclose(model.dof_solimp[0, :2], 0.9999)
+    np.testing.assert_array_equal(model.dof_solimp[0, 2:], before.dof_solimp[0, 2:])
+    np.testing.assert_array_equal(model.dof_solimp[1], before.dof_solimp[1])
+    # What the model does not have is no more in the file.
+    for name in ("dof_frictionloss", "dof_damping", "jnt_stiffness"):
+        assert not getattr(model, name).any()
+    assert not model.tendon_frictionloss.any() and before.tendon_frictionloss.any()
+    made.remove()
+    for name in (
+        "dof_solref", "dof_solimp", "dof_frictionloss", "dof_damping",
+        "jnt_stiffness", "qpos_spring", "tendon_frictionloss",
+    ):  # fmt: skip
+        np.testing.assert_array_equal(getattr(model, name), getattr(before, name))

@@ -511,3 +511,11 @@ def test_a_simulation_starts_at_time_zero_unless_told():
     for options, start in (({}, 0.0), ({"time": 3.0}, 3.0)):
         made = Lockstep(arm, [], np.zeros((2, 1)), **options)
         assert [data.time for data in made._datas] == [start] * 2
+
+
+def test_a_joint_goes_the_way_of_its_speed_or_at_rest_of_its_net_torque():
+    state = started([], [[0.0]] * 5)
+    state.v = np.array([[1.0], [-0.1], [0.0], [0.0], [0.0]])
+    state._net_torque = np.array([[-5.0], [5.0], [-5.0], [5.0], [0.0]])
+    motor, link = state._states()
+    assert motor is link and motor.sign[:, 0].tolist() == [1.0, -1.0, -1.0, 1.0, 1.0]

@@ -37,6 +37,7 @@ BOTH = (RUBS, Coulomb((1,), {"level": 0.7}))
 BRISTLES = Presliding((0,), {"level": 1.0, "distance": 0.05})
 LARGE = TorqueOffset((1,), {"level": 5.0})
 FEW = ("coulomb", "viscous", "torque_offset")
+CAUSE = 10.0  # nats, odds against a cause at a place
 
 
 def search(*effects, size=1, library=FEW):
@@ -96,12 +97,12 @@ def test_an_effect_at_every_joint_is_as_probable_as_one_and_then_at_each_or_not(
     """The prior of all: that of one cause, and two possibilities for each joint."""
     at = search(*BOTH, size=2)
     causes = [cause(at, e) for e in BOTH]
-    cost = sum(at.prior.cause + price(e) for e in BOTH)
-    saved = cost - (at.prior.cause + 2 * np.log(2.0))
+    cost = sum(CAUSE + price(e) for e in BOTH)
+    saved = cost - (CAUSE + 2 * np.log(2.0))
     assert at.kind_discount(causes) == pytest.approx(saved)
     assert at.kind_discount(causes[:1]) == 0.0
     assert at.kind_discount(causes[:1], "coulomb") == pytest.approx(saved)
-    assert at.kind_discount(causes, "coulomb") == pytest.approx(saved + at.prior.cause)
+    assert at.kind_discount(causes, "coulomb") == pytest.approx(saved + CAUSE)
     assert at.kind_discount([causes[0], cause(at, DRAGS)]) == 0.0
     assert at.kind_discount([*causes, causes[0]]) == pytest.approx(saved)
 
@@ -123,7 +124,7 @@ def test_a_wider_prior_costs_the_logarithm_of_how_much_wider_it_is():
     usual = candidate(at.gap, RUBS)
     one, ten = (at.cause(replace(usual, prior_factor=w)) for w in (1.0, 10.0))
     assert ten.cost - one.cost == pytest.approx(np.log(10.0))
-    assert one.cost == pytest.approx(at.prior.cause + price(RUBS))
+    assert one.cost == pytest.approx(CAUSE + price(RUBS))
     std = at.evidence.precision[[one.index[0], ten.index[0]]] ** -0.5
     assert std[1] / std[0] == pytest.approx(10.0)
 
@@ -212,6 +213,23 @@ def test_the_columns_of_a_law_are_those_that_its_evidence_is_of():
         assert again.worth >= kept - at.evidence.solve(at.rigid).evidence - 1e-6
 
 
+def test_an_unknown_law_is_three_percent_of_the_rated_torque_at_twelve_nats():
+    """And a line among many at those of its choice besides: three waves of a law."""
+    at = search(SLIPS)
+    (rows,), (scale,) = at.evidence.rows, at.gap.scales
+    picked = set()
+    for law in at.laws.all:
+        std = at.evidence.precision[law.index] ** -0.5
+        torque = at.laws.columns(law)[0][rows] * std
+        rms = np.sqrt(np.mean(np.sum(torque**2, axis=1)))
+        assert rms == pytest.approx(0.03 * scale.torque)
+        assert law.rough == 0.1
+        if law.cost != 12.0:
+            assert law.cost == pytest.approx(12.0 + 3 * np.log(len(rows)))
+            picked.add(law.place[0])
+    assert picked == {x for x, _ in at.laws._waves} != set()
+
+
 def test_an_unknown_law_is_as_strong_as_it_has_to_be_at_a_cost():
     """Its size is a guess: where it is far stronger, its prior is wider."""
     strong = Stribeck((0,), {"level": 50.0, "velocity": 0.5})
@@ -234,7 +252,7 @@ def test_numbers_of_a_file_that_are_farther_off_are_less_probable():
     assert at.file_error_odds(0.02) == 0.0
     # A factor of two is one deviation.
     assert at.file_error_odds(0.01) == pytest.approx(0.5)
-    links = at.prior.cause + 2 * np.log(2.0)  # each of both may be another one then
+    links = CAUSE + 2 * np.log(2.0)  # each of both may be another one then
     assert at.file_error_odds(0.08) == pytest.approx(0.5 * 2.0**2 + links)
     at.set_file_error(0.5)
     assert at.reported_file_error == 0.5

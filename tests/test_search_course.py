@@ -18,7 +18,7 @@ from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.posterior import Posterior
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.servo import FEWEST, LATENCIES, laws, servo_logs
+from hybrid.diagnosis.gap.servo import LATENCIES, laws, servo_logs
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
@@ -409,7 +409,7 @@ def test_without_a_command_or_motion_a_servo_tells_nothing():
     few = np.zeros_like(gap.moving)
     since = gap.sampled.t - np.array([0.0, 7.0])[gap.trajectory]
     late = np.flatnonzero(since > 0.3)
-    for count, none in ((FEWEST - 1, True), (FEWEST, False)):
+    for count, none in ((69, True), (70, False)):
         few[:] = False
         few[late[:count]] = True
         (found,) = servo_logs(replace(gap, moving=few), logs)

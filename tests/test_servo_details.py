@@ -9,7 +9,7 @@ import pytest
 from pendulum import pendulum
 
 from hybrid.dynamics import inverse_dynamics
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import HybridWarning, RecordingError, RobotError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
@@ -657,6 +657,25 @@ def test_a_written_file_has_the_numbers_of_the_model_that_is_replayed(tmp_path):
     assert written.actuator_history[:, 0].tolist() == [0, 7]
     assert written.qpos0 == pytest.approx([np.deg2rad(10) - 0.02, 0.03])
     assert written.opt.timestep == 0.004
+
+
+def test_a_joint_without_a_servo_gets_one_where_the_file_has_its_actuators(tmp_path):
+    path, new = tmp_path / "arm.xml", tmp_path / "new.xml"
+    text = DEGREES.format("")
+    second = text.index('<position joint="b"')
+    bare = text[:second] + text[text.index("</actuator>") :]
+    path.write_text(bare)
+    robot = Robot.load(path)
+    drive = Drive.declared(robot).at(stiffness=[30.0, 22.0])
+    write_servos(robot, drive, new)
+    written = mujoco.MjModel.from_xml_path(str(new))
+    joints = written.actuator_trnid[:, 0].tolist()
+    assert sorted(joints) == [0, 1] and written.actuator("b").trnid[0] == 1
+    assert written.actuator_gainprm[joints, 4] == pytest.approx([30.0, 22.0])
+    none = bare[: bare.index("<actuator>")] + "</mujoco>"
+    path.write_text(none)
+    with pytest.raises(RobotError, match="no <actuator> section to put a servo into"):
+        write_servos(Robot.load(path), drive, tmp_path / "other.xml")
 
 
 def test_the_logs_say_which_joints_rest_and_what_was_reached_and_touched():

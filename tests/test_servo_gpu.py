@@ -199,6 +199,8 @@ def test_the_loop_for_a_gpu_has_the_law_of_mujoco_s_motor(path, slow, monkeypatc
         for a, b in zip(x, y, strict=True):
             assert np.sqrt(np.mean((a - b) ** 2, axis=0)).max() < 1e-6
     assert np.abs(exact[0][0] - exact[1][0]).max() > 1e-3
+    ((alone,),) = simulator.replay(parts[:1], drives[:1])
+    np.testing.assert_allclose(alone, exact[0][0], atol=1e-6)
 
 
 def test_a_gpu_is_asked_for_and_none_is_seen(path, slow, monkeypatch):
@@ -213,3 +215,13 @@ def test_a_gpu_is_asked_for_and_none_is_seen(path, slow, monkeypatch):
                 ServoSimulator(Robot.load(path), gpu=True)
         else:
             ServoSimulator(Robot.load(path), gpu=True)
+
+
+@pytest.mark.parametrize(
+    ("replays", "compiled"),
+    [(1, 256), (256, 256), (257, 1024), (1024, 1024), (1025, 4096), (4097, 16384)],
+)
+def test_a_loop_is_compiled_for_powers_of_four(replays, compiled):
+    from hybrid.servo.accelerated import _padded
+
+    assert _padded(replays) == compiled

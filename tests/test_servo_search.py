@@ -8,7 +8,7 @@ from pendulum import pendulum
 from scipy.stats import multivariate_normal
 
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
-from hybrid.servo.evidence import COST, Curvature, Explanation, evidence
+from hybrid.servo.evidence import Curvature, Explanation, evidence
 from hybrid.servo.fit import _findings, _split
 from hybrid.servo.moves import probed, promising
 from hybrid.servo.noise import Noise, usual_error
@@ -23,6 +23,7 @@ ROBOT = replace(
 FILE = Drive.declared(ROBOT)
 FREE = np.ones((len(NAMES), 2), dtype=bool)
 NOISE, SAMPLES, STEP = 1e-3, 250, 0.02
+COST = 5.0  # nats, of one parameter more
 
 
 class Linear:

@@ -220,6 +220,23 @@ def test_a_search_grows_until_nothing_is_gained_or_for_eight_rounds():
         assert len(endless.said) == count and len(endless.met) == 1 + count
 
 
+def test_one_that_moves_all_joints_is_tried_and_then_two_of_each_joint(monkeypatch):
+    moves = [
+        Move(k, j, gain, np.zeros(NONE.shape))
+        for k, j, gain in (
+            (DAMP, 0, 9.0), (MASS, 0, 8.0), (STIFF, 0, 7.0), (MASS, 1, 6.0),
+            (OFFSET, 1, 5.0), (OFFSET, 0, 4.0),
+        )
+    ]  # fmt: skip
+    search = Stated(sums())
+    search.problem = SimpleNamespace(noise=lambda errors: NOISE)
+    monkeypatch.setattr(module, "probed", lambda *_: ([], []))
+    monkeypatch.setattr(module, "Curvature", SimpleNamespace(of=lambda *_: None))
+    monkeypatch.setattr(module, "promising", lambda *_: moves)
+    found = [[(m.k, m.j) for m in trial] for trial in search._trials(made())]
+    assert found == [[(MASS, 0)], [(DAMP, 0), (OFFSET, 1)], [(STIFF, 0)]]
+
+
 # --- pruning --------------------------------------------------------------------------
 
 

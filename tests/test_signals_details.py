@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from hybrid.recording import Recording
 from hybrid.signals import Sampler, motion_from_recording
+from hybrid.signals import cutoff as cutoffs
 from hybrid.signals.cutoff import _power, blackman_harris, choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference, filter_reach
 
@@ -182,3 +184,61 @@ def test_power_is_the_mean_square_of_its_segments():
     np.testing.assert_allclose(_power(2.0 * x, 256), 4.0 * power, rtol=1e-9)
     expected = 9.0 * np.sum(window**2)
     assert power[8:-8].mean(axis=0) == pytest.approx(expected, rel=0.03)
+
+
+def test_power_is_that_of_welch_without_linear_trends():
+    x = np.random.default_rng(1).normal(size=(1000, 2)).cumsum(axis=0)
+    x += np.outer(np.arange(1000.0), [3.0, -50.0]) + 200.0
+    for size in (128, 201):
+        window = signal.windows.blackmanharris(size, sym=False)
+        np.testing.assert_allclose(blackman_harris(size), window, atol=1e-12)
+        _, expected = signal.welch(
+            x, 1.0, window, size, size // 2, detrend="linear", scaling="spectrum",
+            axis=0,
+        )  # fmt: skip
+        found = _power(x, size)[1:-1] * 2 / window.sum() ** 2
+        np.testing.assert_allclose(found, expected[1:-1], rtol=1e-6)
+
+
+def chosen(monkeypatch, level, *, rate=100.0, joints=1):
+    """The cut-off by a power spectrum that is stated, a function of frequency."""
+
+    def power(q, size):
+        assert size / rate == pytest.approx(4.0, abs=0.02)
+        f = np.fft.rfftfreq(size, 1 / rate)
+        return np.stack([level(f, j) for j in range(joints)], axis=1)
+
+    monkeypatch.setattr(cutoffs, "_power", power)
+    q = np.random.default_rng(0).normal(size=(int(5 * rate), joints))
+    return choose_cutoff(record(q, rate))
+
+
+@pytest.mark.parametrize(("times", "end"), [(30.5, 20.0), (29.5, 10.0)])
+def test_motion_is_thirty_times_the_noise_above_three_tenths_of_the_rate(
+    monkeypatch, times, end
+):
+    """The median there; what is beyond 0.45 of the rate does not count."""
+
+    def level(f, _):
+        noise = np.where((f > 30.0) & (f < 45.0), 1.0, 7.0)
+        noise[(f > 31.0) & (f < 37.0)] = 1e9
+        return np.select([f < 10.0, f < 20.0, f < 30.0], [1e6, times, 1.0], noise)
+
+    # A majority over 2 Hz decides: where half of them are below.
+    assert chosen(monkeypatch, level) == pytest.approx(1.5 * end, abs=0.6)
+
+
+@pytest.mark.parametrize(("times", "end"), [(3.05e-13, 20.0), (2.95e-13, 10.0)])
+def test_without_noise_the_floor_is_far_below_the_peak(monkeypatch, times, end):
+    def level(f, _):
+        return np.select([f < 2.0, f < 10.0, f < 20.0], [1.0, 0.5, times], 0.0)
+
+    assert chosen(monkeypatch, level) == pytest.approx(1.5 * end, abs=0.6)
+
+
+def test_the_median_joint_decides():
+    with pytest.MonkeyPatch.context() as patched:
+        found = chosen(
+            patched, lambda f, j: np.where(f < (8.0, 14.0)[j], 1e6, 1.0), joints=2
+        )
+    assert found == pytest.approx(1.5 * 11.0, abs=0.6)

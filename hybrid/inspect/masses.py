@@ -46,7 +46,8 @@ def unit_masses(chain: Chain) -> Array:
     beyond = np.maximum(np.maximum(np.append(lengths[1:], 0.0), centre), _REACH * arm)
     directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
     x, y, z = np.moveaxis(beyond[:, None, None] * directions, 2, 0)  # (n, 7) each
-    rest = y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y
+    none = np.zeros_like(x)  # products of coordinates: each point lies on an axis
+    rest = y * y + z * z, none, x * x + z * z, none, none, x * x + y * y
     return np.stack([np.ones_like(x), x, y, z, *rest], axis=1)
 
 
