@@ -6,8 +6,18 @@ import numpy as np
 import pytest
 from pendulum import pendulum
 
-from hybrid.excitation import Condition, DOptimal, Fourier, Limits, Spline, observe
+from hybrid.errors import ExcitationError
+from hybrid.excitation import (
+    Condition,
+    DOptimal,
+    Fourier,
+    Limits,
+    Spline,
+    Trajectory,
+    observe,
+)
 from hybrid.excitation.constraints import MotionLimits
+from hybrid.excitation.design import _infeasible
 from hybrid.excitation.path import Grid, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import _updated, solve
@@ -221,6 +231,20 @@ def test_beside_a_peak_of_a_condition_that_bends_its_neighbours_enter():
     values = made.conditions(x)[0]
     linear = len(free.conditions(x)[0])
     np.testing.assert_allclose(values[linear:], excess[entering])
+
+
+def test_limits_that_are_exceeded_are_named_with_the_worst_in_front():
+    excess = {"a": 0.01, "b": 0.3, "c": -0.1, "d": 0.02, "e": 0.04, "f": 0.0001}
+    words = "exceeds the b by 30 %, e by 4 %, d by 2 %, a by 1 %. Valid are"
+    assert words in _infeasible(excess)
+
+
+def test_a_reference_has_two_steps_at_least():
+    motion = Trajectory(Fourier(2, 0.2), np.zeros((3, 1)))
+    assert len(motion.reference(0.4).t) == 3
+    for rate in (0.39, 0.0, np.inf, np.nan):
+        with pytest.raises(ExcitationError, match="two samples or more are valid"):
+            motion.reference(rate)
 
 
 # --- criteria and families ------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pendulum import pendulum, swings
+from pendulum import pendulum
 
 from hybrid.calibration.steps import Step, follow, start
 from hybrid.model import DynamicModel
