@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS, public_arm
+from pendulum import pendulum
 
 from hybrid.errors import ExcitationError
 from hybrid.excitation import (
@@ -238,6 +239,8 @@ def test_a_multisine_has_a_tone_for_each_joint_below_half_the_rate():
     assert len(multisine(COMAN, duration=1.2).t) == 601
     with pytest.raises(ExcitationError, match="5 tones in 1.19 s"):
         multisine(COMAN, duration=1.19)
+    with pytest.raises(ExcitationError, match="0 tones in 0 s"):
+        multisine(pendulum(1), duration=0.0)
     assert len(multisine(COMAN, rate=10.5).t) == 211
     with pytest.raises(ExcitationError, match="at 10 Hz"):
         multisine(COMAN, rate=10.0)
