@@ -250,3 +250,12 @@ def test_paths_run_at_half_their_speed_as_it_is_and_at_twice():
     path = multisine(COMAN, duration=6.0, fill=0.1, seed=1)
     assert [x.t[-1] for x in at_speeds(COMAN, path)] == [12.0, 6.0, 3.0]
     assert [len(x.t) for x in at_speeds(COMAN, path)] == [6001, 3001, 1501]
+
+
+def test_a_multisine_away_from_the_middle_has_room_to_the_nearer_limit():
+    limits = Limits.of(COMAN)
+    for near, sign in ((limits.low, 1.0), (limits.high, -1.0)):
+        posture = limits.middle.copy()
+        posture[2] = near[2] + sign * 0.02
+        away = multisine(COMAN, posture=posture, rate=100.0).q - posture
+        assert np.abs(away[:, 2]).max() == pytest.approx(0.5 * 0.02)

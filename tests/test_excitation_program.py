@@ -18,7 +18,7 @@ from hybrid.excitation import (
 )
 from hybrid.excitation.constraints import MotionLimits
 from hybrid.excitation.design import _infeasible
-from hybrid.excitation.path import Grid, uniform
+from hybrid.excitation.path import Grid, quintic, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import _updated, solve
 
@@ -245,6 +245,17 @@ def test_a_reference_has_two_steps_at_least():
     for rate in (0.39, 0.0, np.inf, np.nan):
         with pytest.raises(ExcitationError, match="two samples or more are valid"):
             motion.reference(rate)
+
+
+def test_a_polynomial_of_degree_five_meets_every_state_on_its_way():
+    rng = np.random.default_rng(0)
+    t = np.array([0.0, 0.7, 1.0, 3.0])
+    states = rng.standard_normal((3, 4, 2))
+    curve = quintic(t, *states)
+    for order, x in enumerate(states):
+        np.testing.assert_allclose(curve(t, nu=order), x, atol=1e-9)
+        before = curve(t[1:] - 1e-9, nu=order)
+        np.testing.assert_allclose(before, x[1:], atol=1e-5)
 
 
 # --- criteria and families ------------------------------------------------------------

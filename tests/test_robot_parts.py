@@ -319,7 +319,7 @@ def test_an_inertia_that_is_no_number_has_three_moments_that_are_none():
 
 
 def test_links_are_off_by_their_mass_their_centre_and_their_width():
-    """A coordinate of the centre is off by a third of the radius of gyration or more."""
+    """A coordinate of the centre is so by a third of the radius of gyration or more."""
     about = np.diag([0.02, 0.03, 0.01])
     link = inertial_about(2.0, np.array([0.3, 0.0, -0.01]), about)
     found = link_spread(np.array([link, np.zeros(10)]))
