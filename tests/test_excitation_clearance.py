@@ -389,3 +389,17 @@ def test_links_that_often_touch_are_named_and_those_that_always_do_are_not(
     often = "base and hinge_1, base and hinge_2, hinge_0 and hinge_2"
     lines = [f"not kept apart, as their capsules touch too often: {often}"]
     assert said == lines * named
+    assert all(w.filename == __file__ for w in recwarn)  # where it was asked for
+
+
+def test_a_link_without_geometry_is_named_where_it_was_asked_for(monkeypatch, recwarn):
+    whole, kept = hanging(), [0, 1, 3]
+    few = Capsules(whole.link[kept], whole.ends[kept], whole.radius[kept], tuple("abd"))
+    monkeypatch.setattr(
+        "hybrid.excitation.clearance.capsules_from_robot", lambda _: few
+    )
+    found = Clearance.of(pendulum(3), Limits.of(pendulum(3)), margin=-1.0)
+    assert found.pairs.tolist() == [[-1, 2], [0, 2]]
+    (said,) = recwarn
+    words = "not kept apart, without collision geometry: hinge_1"
+    assert (str(said.message), said.filename) == (words, __file__)
