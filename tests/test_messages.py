@@ -141,6 +141,7 @@ def test_an_entry_of_a_list_has_the_name_at_its_place_or_its_number():
     names = {(): {0: "a", 1: "b"}}
     assert _words(("position", 1), names) == ["position", "b"]
     assert _words(("position", 1), {}) == ["position[1]"]
+    assert _words(("state", "position", 1), {}) == ["state", "position[1]"]
     assert _words(("values", 2), {}) == ["[2]"]
     assert _words(("joints", 1, "x"), names) == ["joints", "b", "x"]
     assert _words(("joints", 1, "x"), {}) is None
