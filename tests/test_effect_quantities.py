@@ -5,6 +5,7 @@ plant gets where nothing is said, and the prior of a fit. A change here is one o
 format, and belongs into the changelog.
 """
 
+import sys
 from functools import cache
 
 import numpy as np
@@ -181,6 +182,13 @@ def test_a_fit_treats_an_effect_as_it_says(name):
         "elasticity": {"compliance": 0.05, "damping": 0.5},
     }
     assert dict(effect.inexact) == inexact.get(name, {})
+
+
+@pytest.mark.parametrize("name", effect_classes())
+def test_a_law_is_known_without_a_simulator(name):
+    """Which takes as long to load as all of the rest."""
+    effect, _ = acting(name)
+    assert not hasattr(sys.modules[type(effect).__module__], "mujoco")
 
 
 def test_a_loss_may_be_large_and_an_order_of_ripple_moves_by_half_at_most():

@@ -359,3 +359,80 @@ def test_blocks_are_forty_eight_at_least():
         label = np.concatenate(known.blocks)
         assert len(np.unique(label)) == count * each
         assert np.ptp(np.bincount(label)) <= 1
+
+
+# --- stages ---------------------------------------------------------------------------
+
+
+def ripples(monkeypatch, accepted):
+    """A search for ripple in which some rounds are accepted; what it recorded."""
+    start, found = SimpleNamespace(name="start"), iter(accepted)
+    wave = TorqueRipple((0,), {"periods": 20.0, "fastest": 9.0})
+    own = Coulomb((0,))
+    made = SimpleNamespace(
+        best=start, data=SimpleNamespace(cutoff=10.0), seen=[], recorded=[],
+        _replaceable=lambda best, j: [own],
+    )  # fmt: skip
+
+    def _accepted(best, options, *, tried):
+        made.seen.append(tried)
+        whole, slow = ([e.values.get("fastest") for e in x[0][1:]] for x in options)
+        assert whole == [9.0] and slow == pytest.approx([np.pi])
+        assert options[0][0][0] is options[1][0][0] is own
+        new = next(found)
+        return SimpleNamespace(name=new) if new else best
+
+    made._accepted = _accepted
+    made._adopt = lambda new: setattr(made, "best", new)
+    made._record_stage = made.recorded.append
+    monkeypatch.setattr(
+        "hybrid.identification.identification.find_ripples",
+        lambda data, best, waves: {0: [wave]},
+    )
+    Identification.ripple_stage(made)
+    return made
+
+
+def test_ripple_is_looked_for_until_none_is_accepted_four_times_at_most(monkeypatch):
+    nothing = ripples(monkeypatch, [None])
+    assert nothing.recorded == [] and nothing.best.name == "start"
+    twice = ripples(monkeypatch, ["a", "b", None])
+    assert [x.name for x in twice.recorded] == ["start"] and twice.best.name == "b"
+    assert twice.seen == [16] * 3  # orders that each is the best of
+    assert len(ripples(monkeypatch, list("abcdef")).seen) == 4
+
+
+def remainders(costs, parts=True):
+    """Rounds of a remainder at whose end the cost is as is said."""
+    costs = iter(costs)
+    made = SimpleNamespace(
+        best="physical", squares=next(costs), remainder=None, settled=True, rounds=1,
+        left_out=[], recorded=[],
+        solver=SimpleNamespace(
+            cost=float, with_effects=lambda start, effects, known: start
+        ),
+    )  # fmt: skip
+    made.best = SimpleNamespace(effects=())
+
+    def _learned(physical):
+        own = SimpleNamespace(parts=(1,) if parts else ())
+        return SimpleNamespace(remainder=own, squares=next(costs), cross=[])
+
+    made._learned = _learned
+    made._leave_out, made._record_stage = made.left_out.append, made.recorded.append
+    Identification.remainder_stage(made)
+    return made
+
+
+def test_a_remainder_is_learned_until_a_round_gains_half_a_hundredth():
+    settled = remainders([9.0, 5.0, 4.9951])
+    assert (settled.rounds, settled.settled, settled.squares) == (2, True, 4.9951)
+    assert len(settled.recorded) == 1 and settled.left_out == []
+    more = remainders([9.0, 5.0, 4.9949, 4.9949])
+    assert (more.rounds, more.settled, more.squares) == (3, True, 4.9949)
+    endless = remainders([9.0, 8.0, 7.0, 6.0, 5.0])
+    assert (endless.rounds, endless.settled, endless.squares) == (4, False, 5.0)
+    for none in (remainders([9.0, 10.0]), remainders([9.0, 5.0], parts=False)):
+        assert none.remainder is None and none.squares == 9.0 and none.settled
+        assert none.left_out == ["remainder: no regression lowers the error"]
+        assert none.recorded == []
