@@ -36,7 +36,7 @@ from hybrid.identification.preparation import (
     prepare_at_best_cutoff,
 )
 from hybrid.identification.remainder import _best_inputs, _ridge_error
-from hybrid.identification.ripple import _ripple, in_band
+from hybrid.identification.ripple import _best_orders, _ripple, in_band
 from hybrid.identification.solver import Solver
 from hybrid.recording import Recording
 from hybrid.regression.problem import build_problem
@@ -199,6 +199,39 @@ def test_a_ripple_acts_up_to_the_speed_that_samples_can_show(
     found = _ripple(1, periods, pieces, cutoff)
     assert found.joints == (1,) and found.values["periods"] == periods
     assert found.values["fastest"] == pytest.approx(expected)
+
+
+def piece(v, rate=1000.0):
+    """Samples of a joint at given speeds, of which all count."""
+    q = np.random.default_rng(1).uniform(0, 2 * np.pi, len(v))
+    made = SimpleNamespace(
+        q=q, v=v, use=np.ones(len(v), dtype=bool), refiltered=lambda x: x,
+        motion=SimpleNamespace(rate=rate), sampler=SimpleNamespace(factor=1),
+    )  # fmt: skip
+    return made, q
+
+
+@pytest.mark.parametrize(("slow", "offered"), [(110, True), (90, False)])
+def test_an_order_is_offered_if_a_tenth_of_the_samples_show_it(slow, offered):
+    v = np.where(np.arange(1000) < slow, 0.0, 1000.0)
+    own, q = piece(v)
+    found = _best_orders([own], [np.sin(2 * q)], 10.0).tolist()
+    assert (1 in found and 2 in found) == offered and (offered or not found)
+    assert not set(found) - set(range(1, 9))
+
+
+def test_the_strongest_orders_are_offered_and_the_slowest_eight():
+    own, q = piece(np.full(50_000, 0.01))
+    noise = np.random.default_rng(0).standard_normal(len(q))
+    slow = list(range(1, 9))
+    by_chance = _best_orders([own], [noise], 10.0).tolist()
+    assert by_chance[:8] == slow and len(by_chance) < 12
+    strong = [20, 37, 90, 150, 222, 301, 399, 400]
+    waves = sum(np.sin(k * q + k) for k in strong)
+    found = _best_orders([own], [noise + waves], 10.0).tolist()
+    assert found == slow + strong
+    weaker = noise + waves + 0.5 * np.sin(55 * q)  # the ninth of them
+    assert _best_orders([own], [weaker], 10.0).tolist() == found
 
 
 # --- friction -------------------------------------------------------------------------
