@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hybrid.errors import RecordingError
+from hybrid.recording.labels import parse_label
 from hybrid.recording.mapping import Mapping, Source, preset_of, read_mapping
 from hybrid.recording.read import recording_from_table
 
@@ -120,3 +121,17 @@ def test_what_is_no_map_is_refused(content, words):
         return
     with pytest.raises(RecordingError, match=words):
         read_mapping(content)
+
+
+@pytest.mark.parametrize(
+    ("label", "channel"),
+    [
+        ("q_d_1", "command"),
+        ("d_q_1", "q"),
+        ("arm_d_q_1", "q"),
+        ("qd_1", "v"),
+        ("d", ""),
+    ],
+)
+def test_a_d_behind_a_quantity_is_a_desired_one_and_a_name_elsewhere(label, channel):
+    assert parse_label(label).channel == channel

@@ -6,6 +6,7 @@ from pendulum import pendulum
 
 from hybrid.calibration.steps import Step, follow, start
 from hybrid.model import DynamicModel
+from hybrid.online import OnlineIdentifier
 from hybrid.online.health import Health
 from hybrid.recording.labels import Meaning, parse_label
 from hybrid.recording.reading import Reading, Used
@@ -111,3 +112,16 @@ def test_a_model_of_base_parameters_alone_has_the_torque_of_its_links():
     assert (
         model.stage == "rigid" and repr(model) == "<DynamicModel of pendulum, rigid: >"
     )
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_tracked_model_stands_where_it_stood_or_below_a_hundredth_of_its_speed(
+    stated,
+):
+    robot = pendulum(1)
+    problem = build_problem(robot.chain, [])
+    own = np.array([0.37]) if stated else np.zeros(0)
+    model = DynamicModel(robot, problem.base, standing=own, cutoff=5.0)
+    tracker = OnlineIdentifier.from_model(model, rate=250.0)
+    expected = 0.37 if stated else 0.01 * robot.v_max[0]
+    np.testing.assert_allclose(tracker.model.standing, expected)
