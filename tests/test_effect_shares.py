@@ -39,8 +39,8 @@ def test_a_drive_clips_within_a_fifth_of_its_limit_for_nine_tenths_of_the_time(s
 
 def test_samples_of_a_joint_that_hardly_moves_tell_nothing_of_its_drive():
     asked, delivered = some(600, 20.0, 0.0), some(600, 20.0, 0.0)
-    assert clips(drive(asked, delivered, some(600, 0.049, 1.0)))
-    assert not clips(drive(asked, delivered, some(600, 0.051, 1.0)))
+    assert clips(drive(asked, delivered, 4 * some(600, 0.049, 1.0)))
+    assert not clips(drive(asked, delivered, 4 * some(600, 0.051, 1.0)))
 
 
 def test_friction_that_the_file_lacks_is_found_below_the_limit_of_a_hundred_samples():
@@ -84,9 +84,9 @@ def test_torque_has_a_direction_if_it_is_above_the_onset_for_half_of_the_time():
     assert is_dead(drive(0.0, some(501, 2.1, 1.9)))
     assert not is_dead(drive(0.0, some(500, 2.1, 1.9)))
     # What is delivered at rest does not count.
-    still = some(600, 0.049, 1.0)
+    still = 4 * some(600, 0.049, 1.0)
     assert is_dead(drive(0.0, some(600, 0.5, 2.1), still))
-    assert not is_dead(drive(0.0, some(600, 0.5, 2.1), some(600, 0.051, 1.0)))
+    assert not is_dead(drive(0.0, some(600, 0.5, 2.1), 4 * some(600, 0.051, 1.0)))
 
 
 def test_a_command_is_in_a_dead_zone_for_a_seventh_of_the_time_at_most():
