@@ -614,3 +614,36 @@ def test_an_effect_of_a_joint_has_one_and_others_have_some():
         effect_class("coulomb")((0, 1))
     with pytest.raises(EffectError, match="coupling acts on at least one joint, not 0"):
         effect_class("transmission_coupling")(())
+
+
+def test_an_effect_of_several_joints_has_the_size_of_the_last():
+    cls = effect_class("transmission_coupling")
+    sizes = [Scale(10.0, 2.0), Scale(4.0, 8.0), Scale(70.0, 1.0)]
+    law = cls.typical((0, 1), sizes)
+    assert law.values == pytest.approx(
+        {"inertia": 0.005, "viscous": 0.01, "coulomb": 0.08}
+    )
+    told = {p.name: (p.lower, p.upper) for p in law.parameters(sizes)}
+    assert told["coulomb"] == pytest.approx((0.0, 1.2))
+    assert told["inertia"] == pytest.approx((0.0, 0.25))
+
+
+@pytest.mark.parametrize(("name", "gain"), [("backlash", 0.004), ("elasticity", 0.003)])
+def test_columns_of_a_gear_are_the_torque_of_its_links_motion_over_its_gain(name, gain):
+    robot = Robot.load(MODELS / "planar.xml")
+    t = np.arange(0, 4, 0.01)
+    q = np.stack([0.5 * np.sin(t), 0.4 * np.sin(1.7 * t)], axis=1)
+    v = np.stack([0.5 * np.cos(t), 0.68 * np.cos(1.7 * t)], axis=1)
+    motion = Motion(t, q, v, -q * [1.0, 2.89], 0 * q, np.ones(len(t), bool))
+    body = rigid(robot, motion)
+    law = effect(name, 1)
+    (only,) = law.gains
+    law = law.at({only.name: gain})
+    moved = law.observe(motion, body)
+    torque = body.response(moved.q - q, moved.v - v, moved.a - motion.a)
+    assert np.abs(torque).max() > 0
+    np.testing.assert_allclose(
+        law.columns(motion, body)[:, :, 0] * gain,
+        torque,
+        atol=1e-9 * np.abs(torque).max(),
+    )

@@ -5,9 +5,15 @@ plant gets where nothing is said, and the prior of a fit. A change here is one o
 format, and belongs into the changelog.
 """
 
-import pytest
+import sys
+from functools import cache
 
-from hybrid.effects import effect_class
+import numpy as np
+import pytest
+from pendulum import pendulum, swings
+
+from hybrid.dynamics import RigidBody
+from hybrid.effects import effect_class, effect_classes
 from hybrid.effects.quantity import Quantity, Scale
 
 # Effect, parameter, usual size, bounds, what these are multiples of (rated torque τ and
@@ -86,11 +92,13 @@ threshold_friction    quadratic         0        0        1        τ/v²  N·m�
 threshold_friction    cubic             0        0        1        τ/v³  N·m·s³/rad³
 threshold_friction    threshold         0.2      0.0001   100      1     rad/s
 threshold_friction    width             0.002    0        10       1     rad/s
+threshold_friction    fastest           1000     0.0001   1000     1     rad/s whole
 torque_gain           gain              0.1      -0.5     0.5      1     -
 torque_offset         level             0.02     -0.3     0.3      τ     N·m
 torque_ripple         sine              0.02     -0.15    0.15     τ     N·m
 torque_ripple         cosine            0        -0.15    0.15     τ     N·m
 torque_ripple         periods           20       1        1000     1     1/turn
+torque_ripple         fastest           1000     0.0001   1000     1     rad/s whole
 transmission_coupling inertia           0.01     0        0.5      τ/v   kg·m²
 transmission_coupling viscous           0.02     0        1        τ/v   N·m·s/rad
 transmission_coupling coulomb           0.02     0        0.3      τ     N·m
@@ -103,16 +111,103 @@ PER = {
 ROWS = [line.split() for line in TABLE.strip().splitlines()]
 
 
+SIZES = [Scale(10.0, 2.0)] * 2
+
+
+@cache
+def acting(name):
+    """The effect at its usual size, and its torque per unit of each gain."""
+    cls, (motion, *_) = effect_class(name), swings(2, count=1, seconds=0.2)
+    effect = cls.typical(next(cls.places(2)), SIZES)
+    return effect, effect.columns(motion, RigidBody(pendulum(2).chain, motion))
+
+
 @pytest.mark.parametrize("row", ROWS, ids=[f"{r[0]}-{r[1]}" for r in ROWS])
 def test_a_parameter_has_its_documented_unit_size_and_bounds(row):
     name, parameter, typical, lower, upper, per, unit, *flags = row
-    cls = effect_class(name)
-    (found,) = [q for q in (*cls.gains, *cls.shapes) if q.name == parameter]
+    effect, columns = acting(name)
+    (found,) = [q for q in (*effect.gains, *effect.shapes) if q.name == parameter]
     assert found.unit == ("" if unit == "-" else unit)
     numbers = (found.typical, found.lower, found.upper)
     assert numbers == (float(typical), float(lower), float(upper))
     assert found.per == PER[per]
     assert (found.inner, found.whole) == ("inner" in flags, "whole" in flags)
+    size = 10.0 ** PER[per][0] * 2.0 ** PER[per][1]
+    assert effect.values[parameter] == pytest.approx(size * float(typical))
+    (told,) = [p for p in effect.parameters(SIZES) if p.name == parameter]
+    assert (told.lower, told.upper) == pytest.approx(
+        (size * float(lower), size * float(upper))
+    )
+    assert np.isfinite(columns).all() and columns.shape[2] == len(effect.gains)
+    assert np.isfinite(effect.tune(np.ones(1), np.ones(1))).all()
+
+
+def test_every_parameter_is_documented():
+    own = {(r[0], r[1]) for r in ROWS}
+    for name, cls in effect_classes().items():
+        if name != "link_inertia":  # of which every link has its own
+            assert {(name, q.name) for q in (*cls.gains, *cls.shapes)} <= own
+
+
+FLAGS = {
+    "steep": "backlash elasticity",
+    "differentiates": "actuator_lag armature delay link_inertia payload",
+    "shifts": "delay",
+    "usual": "armature coulomb torque_offset viscous",
+    "inborn": "armature link_inertia",
+    "composite": "improved_stribeck threshold_friction",
+    "repeats": "contact torque_ripple",
+    "shows_in_motion": "actuator_lag backlash delay elasticity",
+    "warms": "thermal_friction",
+    "dry": "asymmetric_friction coulomb improved_stribeck load_friction stribeck "
+    "threshold_friction",
+}
+
+
+@pytest.mark.parametrize("name", effect_classes())
+def test_a_fit_treats_an_effect_as_it_says(name):
+    """Which are scanned, begin a fit, may occur again, are sums of other laws."""
+    effect, _ = acting(name)
+    expected = {flag for flag, names in FLAGS.items() if name in names.split()}
+    assert {flag for flag in FLAGS if getattr(effect, flag, False)} == expected
+    rough = {"backlash": 0.4, "elasticity": 0.4}
+    assert effect.rough == rough.get(name, 0.0)
+    assert effect.exact_fields.items() <= effect.fields.items()
+    distinct = {"contact": 8.0, "torque_ripple": 6.0}
+    assert effect.choices == distinct.get(name)
+    inexact = {
+        "backlash": {"half_width": 0.1},
+        "controller_gain": {"damping": 0.03, "stiffness": 0.001},
+        "delay": {"time": 0.03},
+        "elasticity": {"compliance": 0.05, "damping": 0.5},
+    }
+    assert dict(effect.inexact) == inexact.get(name, {})
+
+
+@pytest.mark.parametrize("name", effect_classes())
+def test_a_law_is_known_without_a_simulator(name):
+    """Which takes as long to load as all of the rest."""
+    effect, _ = acting(name)
+    assert not hasattr(sys.modules[type(effect).__module__], "mujoco")
+
+
+def test_a_loss_may_be_large_and_an_order_of_ripple_moves_by_half_at_most():
+    quantities = [
+        (name, q)
+        for name in effect_classes()
+        for q in (*acting(name)[0].gains, *acting(name)[0].shapes)
+    ]
+    wide = {(name, q.name): q.spread for name, q in quantities if q.spread is not None}
+    near = {(name, q.name): q.near for name, q in quantities if q.near is not None}
+    assert wide == {("saturation", "loss"): 5.0}
+    assert near == {("torque_ripple", "periods"): 0.5}
+
+
+def test_a_prior_is_twice_the_usual_size_or_a_third_of_the_largest():
+    assert Quantity("x", "", 0.5, -2.0, 3.0, spread=4.0).deviation == 4.0
+    assert Quantity("x", "", -0.4, -2.0, 3.0).deviation == 0.8
+    assert Quantity("x", "", 0.6, -2.0, 1.5).deviation == pytest.approx(2 / 3)
+    assert Quantity("x", "", 0.0, -0.3, 1.5).deviation == pytest.approx(0.5)
 
 
 def test_sizes_scale_with_torque_and_speed_of_the_joint():
@@ -122,4 +217,3 @@ def test_sizes_scale_with_torque_and_speed_of_the_joint():
         Scale(10.0, 2.0)
     )
     assert scaled == Quantity("x", "", 1.25, -5.0, 7.5, spread=10.0)
-    assert effect_class("saturation").gains[0].spread == 5.0

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pendulum import pendulum
+from scipy.integrate import solve_ivp
 from simulated import arm, motions
 
 from hybrid.diagnosis.evidence.candidates import candidate
@@ -12,6 +14,7 @@ from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects.elasticity import Elasticity
 from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.signals import Motion
 
 STIFF = {"compliance": 1e-4, "damping": 0.02}
 
@@ -118,4 +121,46 @@ def test_its_compliance_is_that_of_its_columns_wherever_they_are_made(slow, fact
     found, _ = search.refine(search.background, candidate(slow, start))
     assert found.effect.values["compliance"] == pytest.approx(
         STIFF["compliance"], rel=0.5
+    )
+
+
+@pytest.mark.parametrize(
+    ("compliance", "middle"), [(0.02, 0.0), (0.004, 0.0), (0.3, np.pi)]
+)
+def test_a_deflection_solves_its_equation_with_more_damping_at_the_start(
+    compliance, middle
+):
+    """A spring that gravity would overcome keeps a tenth of its stiffness."""
+    t = np.arange(0, 1.5, 0.001)
+    wave = np.stack([np.sin(3 * t), 0.3 * np.sin(5 * t + 1.0)], axis=1)
+    q = wave + [middle, 0.0]
+    v = np.stack([3 * np.cos(3 * t), 1.5 * np.cos(5 * t + 1.0)], axis=1)
+    a = wave * [-9.0, -25.0]
+    motion = Motion(t, q, v, a, 0 * q, np.ones(len(t), dtype=bool))
+    body = RigidBody(pendulum(2).chain, motion)
+    G, C, M = (slope[:, 1] for slope in body.slopes(1))
+    stiff = np.maximum(1 / compliance + G, 0.1 / compliance)
+    ratio = 0.05 + 0.3 * np.exp(-t / 0.3)
+    drag = 0.2 + 2 * ratio * np.sqrt(M.mean() / compliance) + C
+    load = body.load[:, 1]
+
+    def rate(time, state):
+        m, c, k, f = (np.interp(time, t, x) for x in (M, drag, stiff, load))
+        return [state[1], -(f + c * state[1] + k * state[0]) / m]
+
+    start = [-load[0] / stiff[0], 0.0]
+    exact = solve_ivp(rate, (0, t[-1]), start, t_eval=t, rtol=1e-7, atol=1e-10).y[0]
+    law = Elasticity((1,), {"compliance": compliance, "damping": 0.2})
+    found = law.observe(motion, body)
+    size = np.abs(exact).max()
+    np.testing.assert_allclose(found.q[:, 1] - q[:, 1], exact, atol=3e-3 * size)
+    np.testing.assert_array_equal(found.q[:, 0], q[:, 0])
+    speed = np.gradient(exact, t)
+    inner = slice(5, -5)
+    np.testing.assert_allclose(
+        (found.v - v)[inner, 1], speed[inner], atol=1e-2 * np.abs(speed).max()
+    )
+    rush = np.gradient(speed, t)
+    np.testing.assert_allclose(
+        (found.a - a)[inner, 1], rush[inner], atol=2e-2 * np.abs(rush).max()
     )

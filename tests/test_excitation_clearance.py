@@ -310,3 +310,96 @@ def test_only_links_that_are_no_neighbours_are_kept_apart(monkeypatch):
     )
     kept = Clearance.of(robot, Limits.of(robot))
     assert kept.pairs.tolist() == [[-1, 1], [-1, 2], [0, 2]]
+
+
+def hanging(radius=0.05):
+    """Three rods that hang from one another; one capsule each, and one of the base."""
+    ends = np.tile([[0.0, 0.0, 0.0], [0.0, 0.0, -0.5]], (4, 1, 1))
+    ends[0] += [0.0, 0.0, 0.7]
+    return Capsules(np.arange(-1, 3), ends, np.full(4, radius), tuple("abcd"))
+
+
+def rods(q):
+    """Start and end of each rod in the plane that they swing in, shape (3, 2, N, 2)."""
+    angle = np.cumsum(q, axis=1)
+    way = [np.stack([-np.sin(x), -np.cos(x)], axis=1) for x in angle.T]
+    start = [0 * way[0], 0.6 * way[0], 0.6 * (way[0] + way[1])]
+    return np.array([[x, x + 0.5 * y] for x, y in zip(start, way, strict=True)])
+
+
+def test_a_floor_is_below_both_ends_of_every_moving_link_by_its_radius():
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (7, 3))
+    floor = Floor(pendulum(3), hanging(), -1.5)
+    z = rods(q)[1:, :, :, 1].reshape(4, 7).T
+    np.testing.assert_allclose(floor.excess(still(q)), (-1.5 + 0.05 - z) / 0.2)
+    assert floor.names == tuple(
+        f"lowest z of the link of hinge_{k}" for k in (1, 1, 2, 2)
+    )
+
+
+def test_links_are_as_far_apart_as_their_closest_points_less_both_radii():
+    q = np.random.default_rng(1).uniform(-1.0, 1.0, (9, 3))
+    pairs = np.array([[-1, 1], [0, 2]])
+    kept = Clearance(pendulum(3), hanging(), pairs, 0.02)
+    share = np.linspace(0.0, 1.0, 201)[:, None, None]
+
+    def points(start, end):
+        return start + share * (end - start)
+
+    links = rods(q)
+    base = np.array([[[0.0, 0.7]] * 9, [[0.0, 0.2]] * 9])
+    expected = []
+    for first, second in ((base, links[1]), (links[0], links[2])):
+        between = points(*first)[:, None] - points(*second)[None]
+        least = np.linalg.norm(between, axis=3).min(axis=(0, 1))
+        expected.append(least - 0.1)
+    found = kept.distance(q)
+    np.testing.assert_allclose(found, np.transpose(expected), atol=3e-3)
+    excess = (0.02 - found) / 0.2
+    np.testing.assert_allclose(kept.excess(still(q)), excess)
+    assert kept.names == tuple(
+        f"closeness of the links of {x}"
+        for x in ("base and hinge_1", "hinge_0 and hinge_2")
+    )
+    none = Clearance(pendulum(3), hanging(), np.zeros((0, 2), dtype=int), 0.02)
+    assert none.distance(q).shape == (9, 0)
+
+
+@pytest.mark.parametrize(
+    ("touching", "kept", "named"),
+    [(90, True, False), (91, False, True), (284, False, True), (285, False, False)],
+)
+def test_links_that_often_touch_are_named_and_those_that_always_do_are_not(
+    touching, kept, named, monkeypatch, recwarn
+):
+    """From three tenths of the postures on, and from nineteen twentieths on."""
+    monkeypatch.setattr(
+        "hybrid.excitation.clearance.capsules_from_robot", lambda _: hanging()
+    )
+
+    def distance(self, q):
+        near = np.arange(len(q)) < touching
+        return np.where(near, 0.0099, 0.0101)[:, None] * np.ones(len(self.pairs))
+
+    monkeypatch.setattr(Clearance, "distance", distance)
+    robot = pendulum(3)
+    found = Clearance.of(robot, Limits.of(robot))
+    assert len(found.pairs) == 3 * kept and found.margin == 0.01
+    said = [str(w.message) for w in recwarn]
+    often = "base and hinge_1, base and hinge_2, hinge_0 and hinge_2"
+    lines = [f"not kept apart, as their capsules touch too often: {often}"]
+    assert said == lines * named
+    assert all(w.filename == __file__ for w in recwarn)  # where it was asked for
+
+
+def test_a_link_without_geometry_is_named_where_it_was_asked_for(monkeypatch, recwarn):
+    whole, kept = hanging(), [0, 1, 3]
+    few = Capsules(whole.link[kept], whole.ends[kept], whole.radius[kept], tuple("abd"))
+    monkeypatch.setattr(
+        "hybrid.excitation.clearance.capsules_from_robot", lambda _: few
+    )
+    found = Clearance.of(pendulum(3), Limits.of(pendulum(3)), margin=-1.0)
+    assert found.pairs.tolist() == [[-1, 2], [0, 2]]
+    (said,) = recwarn
+    words = "not kept apart, without collision geometry: hinge_1"
+    assert (str(said.message), said.filename) == (words, __file__)

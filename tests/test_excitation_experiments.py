@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS, public_arm
+from pendulum import pendulum
 
 from hybrid.errors import ExcitationError
 from hybrid.excitation import (
@@ -145,3 +146,116 @@ def test_a_ladder_reaches_each_speed_where_a_fifth_of_a_ramp_is_left():
     assert np.abs(short.v[:, j]).max() == pytest.approx(fastest)
     with pytest.raises(ExcitationError, match="are needed to reach"):
         speed_ladder(COMAN, "elbow", longest=0.05)
+
+
+def test_reversals_turn_each_second_three_times_at_each_size_and_then_pause():
+    reference = micro_reversals(COMAN, 1)
+    away = reference.q[:, 0] - reference.q[0, 0]
+    assert reference.t[1] == pytest.approx(1 / 500.0)
+    expected = []
+    for size in (0.001, 0.002, 0.005, 0.01, 0.02):
+        expected += [size, -size] * 3 + [0.0]
+    ends = [1.0 + k + 0.5 * (k // 7) for k in range(len(expected))]
+    np.testing.assert_allclose(np.interp(ends, reference.t, away), expected, atol=1e-9)
+    np.testing.assert_allclose(reference.t[-1], 5 * (7 * 1.0 + 0.5))
+    still = np.abs(reference.v).max(axis=1) < 1e-12
+    pauses = [np.interp(7.5 * (k + 1) - 0.25, reference.t, still) for k in range(5)]
+    assert pauses == [1.0] * 5
+
+
+def test_a_ladder_keeps_slow_speeds_for_four_seconds_and_pauses_beside_them():
+    reference = speed_ladder(COMAN, "elbow")
+    j, step = COMAN.joint_index("elbow"), 1 / 500.0
+    assert reference.t[1] == pytest.approx(step, rel=1e-3)
+    limits = Limits.of(COMAN)
+    slow = 0.01 * limits.speed[j]
+    steady = np.abs(reference.v[:, j] - slow) < 1e-9
+    assert steady.sum() * step == pytest.approx(4.0, abs=3 * step)
+    first, last = np.flatnonzero(steady)[[0, -1]]
+    # A ramp of a tenth of a second on either side, and half a second of rest.
+    moving = np.abs(reference.v[:, j]) > 1e-9
+    before = reference.t[first] - reference.t[:first][~moving[:first]].max()
+    after = reference.t[last:][~moving[last:]].min() - reference.t[last]
+    assert before == pytest.approx(0.1, abs=3 * step)
+    assert after == pytest.approx(0.1, abs=3 * step)
+    rest = np.diff(np.flatnonzero(moving))
+    assert rest[rest > 1].min() * step == pytest.approx(0.5, abs=6 * step)
+    away = reference.q[[first, last], j] - limits.middle[j]
+    assert away.sum() == pytest.approx(0.0, abs=2 * slow * step)
+
+
+def test_a_fast_ramp_takes_all_of_the_acceleration_and_the_room():
+    reference = speed_ladder(COMAN, "elbow")
+    j, limits = COMAN.joint_index("elbow"), Limits.of(COMAN)
+    fast = 0.9 * limits.speed[j]
+    ramp = 1.5 * fast / limits.usable_acceleration[j]
+    assert ramp > 0.1
+    at = np.flatnonzero(np.abs(reference.v[:, j] - fast) < 1e-9)
+    own = slice(at[0] - round(ramp * 500), at[-1] + round(ramp * 500))
+    most = np.abs(reference.a[own, j]).max()
+    assert most == pytest.approx(limits.usable_acceleration[j], rel=1e-3)
+    stroke = np.ptp(reference.q[own, j])
+    room = limits.high[j] - limits.low[j]
+    assert stroke == pytest.approx(min(0.98 * room, fast * (ramp + 4.0)), rel=1e-3)
+
+
+def test_poses_are_held_for_a_second():
+    poses = np.tile(Limits.of(COMAN).middle, (3, 1))
+    reference = static_poses(COMAN, poses)
+    assert reference.t[-1] == pytest.approx(3.0)
+    assert reference.t[1] == pytest.approx(1 / 500.0)
+
+
+def test_a_multisine_takes_half_of_a_limit_of_each_joint():
+    reference = multisine(COMAN, seed=3)
+    assert reference.t[-1] == pytest.approx(20.0)
+    assert reference.t[1] == pytest.approx(1 / 500.0)
+    limits = Limits.of(COMAN)
+    away = reference.q - limits.middle
+    room = limits.high - limits.middle
+    rates = room, limits.speed, limits.usable_acceleration
+    share = [
+        np.abs(x).max(axis=0) / most
+        for x, most in zip((away, reference.v, reference.a), rates, strict=True)
+    ]
+    np.testing.assert_allclose(np.max(share, axis=0), 0.5)
+
+
+@pytest.mark.parametrize(("duration", "fade"), [(20.0, 1.0), (2.0, 0.5)])
+def test_tones_of_a_multisine_have_equal_accelerations(duration, fade):
+    reference = multisine(COMAN, duration=duration, rate=100.0, seed=3)
+    t, lines = reference.t, np.arange(np.ceil(duration / 5), 5 * duration + 1)
+    inside = (t > fade) & (t < duration - fade)  # it rises and falls in between
+    for j in (0, 5):
+        angle = np.outer(t[inside], 2 * np.pi * lines[j::6] / duration)
+        waves, a = np.hstack([np.sin(angle), np.cos(angle)]), reference.a[inside, j]
+        gains = np.linalg.lstsq(waves, a, rcond=None)[0]
+        np.testing.assert_allclose(waves @ gains, a, atol=1e-6 * np.abs(a).max())
+        size = np.hypot(*np.split(gains, 2))
+        np.testing.assert_allclose(size, size[0], rtol=1e-4)
+
+
+def test_a_multisine_has_a_tone_for_each_joint_below_half_the_rate():
+    assert len(multisine(COMAN, duration=1.2).t) == 601
+    with pytest.raises(ExcitationError, match="5 tones in 1.19 s"):
+        multisine(COMAN, duration=1.19)
+    with pytest.raises(ExcitationError, match="0 tones in 0 s"):
+        multisine(pendulum(1), duration=0.0)
+    assert len(multisine(COMAN, rate=10.5).t) == 211
+    with pytest.raises(ExcitationError, match="at 10 Hz"):
+        multisine(COMAN, rate=10.0)
+
+
+def test_paths_run_at_half_their_speed_as_it_is_and_at_twice():
+    path = multisine(COMAN, duration=6.0, fill=0.1, seed=1)
+    assert [x.t[-1] for x in at_speeds(COMAN, path)] == [12.0, 6.0, 3.0]
+    assert [len(x.t) for x in at_speeds(COMAN, path)] == [6001, 3001, 1501]
+
+
+def test_a_multisine_away_from_the_middle_has_room_to_the_nearer_limit():
+    limits = Limits.of(COMAN)
+    for near, sign in ((limits.low, 1.0), (limits.high, -1.0)):
+        posture = limits.middle.copy()
+        posture[2] = near[2] + sign * 0.02
+        away = multisine(COMAN, posture=posture, rate=100.0).q - posture
+        assert np.abs(away[:, 2]).max() == pytest.approx(0.5 * 0.02)

@@ -7,6 +7,7 @@ import pytest
 from pendulum import pendulum
 
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
 from hybrid.online import payload_change
 from hybrid.online.initial_estimate import InitialEstimate, payload_sizes
@@ -258,3 +259,17 @@ def test_a_payload_is_a_change_of_the_last_link():
     found = first.payload_directions(sizes)
     heavier = problem.base.mapping[:, :10] @ np.diag(sizes)
     np.testing.assert_allclose(found[: problem.size], heavier)
+
+
+def test_a_gain_that_is_usually_zero_is_as_uncertain_as_a_tenth_of_its_bounds():
+    robot = pendulum()
+    (scale,) = joint_scales(robot)
+    for effect, expected in (
+        (Spring((0,), {"preload": 0.0}), {"stiffness": 0.2, "preload": 0.2}),
+        (Viscous((0,)), {"coefficient": 0.1 / scale.speed}),
+    ):
+        problem = build_problem(robot.chain, [effect])
+        first = InitialEstimate(robot, problem, robot.chain.inertial, 1.0, 0.0)
+        names = [effect.gains[g].name for _, g in problem.columns]
+        usual = [expected[x] * scale.torque for x in names]
+        np.testing.assert_allclose(first._gain_sizes(), usual)

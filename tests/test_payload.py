@@ -1,10 +1,13 @@
 """What links carry beyond what the robot file says."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from simulated import arm
 
 from hybrid.effects import effect_class
+from hybrid.effects.effect import Scale
 from hybrid.plant import Plant
 
 LOAD = {"mass": 1.0, "mx": 0.1, "mz": 0.05, "Ixx": 0.05, "Iyy": 0.06, "Izz": 0.04}
@@ -35,3 +38,27 @@ def _mass_matrix(model):
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     return full
+
+
+@pytest.mark.parametrize(
+    ("masses", "usual"), [([1.0, 3.0, 8.0], 3.0), ([0.0] * 3, 0.1)]
+)
+def test_a_payload_is_about_as_heavy_as_a_link_and_a_decimetre_away(masses, usual):
+    inertial = np.zeros((3, 10))
+    inertial[:, 0] = masses
+    law = effect_class("payload")((0, 1, 2))
+    std, least = law.prior(SimpleNamespace(inertial=inertial), Scale(1.0, 1.0))
+    expected = [usual] + [0.1 * usual] * 3 + [0.02 * usual] * 6
+    np.testing.assert_allclose(std, expected)
+    own = {0, 4, 6, 9}  # the mass and the moments of inertia
+    assert least.tolist() == [0.0 if k in own else -np.inf for k in range(10)]
+
+
+def test_a_link_is_off_by_a_seventh_in_either_direction():
+    size = np.arange(20.0).reshape(2, 10)
+    law = effect_class("link_inertia")((0,))
+    std, least = law.prior(SimpleNamespace(size=size), Scale(1.0, 1.0))
+    np.testing.assert_allclose(std, 0.15 * size[0])
+    assert np.isneginf(least).all() and len(least) == 10
+    assert list(type(law).places(3)) == [(0,), (0, 1), (0, 1, 2)]
+    assert list(effect_class("payload").places(3)) == [(0, 1, 2)]

@@ -24,7 +24,7 @@ from hybrid.robot.geometry import (
     _segment,
     _urdf_points,
 )
-from hybrid.robot.spatial import inertia_fault
+from hybrid.robot.spatial import inertia_fault, inertial_about, link_spread
 
 # --- capsules -------------------------------------------------------------------------
 
@@ -316,3 +316,31 @@ def test_a_light_link_may_have_a_moment_of_a_millionth_below_zero():
 def test_an_inertia_that_is_no_number_has_three_moments_that_are_none():
     text = inertia_fault(1.0, np.full((3, 3), np.nan))
     assert "(mass 1 kg, moments nan, nan, nan kg·m²)" in text
+
+
+def test_links_are_off_by_their_mass_their_centre_and_their_width():
+    """A coordinate of the centre is so by a third of the radius of gyration or more."""
+    about = np.diag([0.02, 0.03, 0.01])
+    link = inertial_about(2.0, np.array([0.3, 0.0, -0.01]), about)
+    found = link_spread(np.array([link, np.zeros(10)]))
+    radius = np.sqrt(0.03 / 2.0)
+    moments = 2.0 * np.array([0.3, radius / 3, radius / 3])
+    inertia = 0.03 / 2 + 2.0 * (0.3**2 + 0.01**2) + 1e-9
+    np.testing.assert_allclose(found[0], [2.0, *moments, *[inertia] * 6])
+    assert not found[1].any()
+    point = link_spread(inertial_about(2.0, np.zeros(3), np.zeros((3, 3)))[None])
+    np.testing.assert_allclose(point[0], [2.0, *[2e-4 / 3] * 3, *[1e-9] * 6])
+
+
+@pytest.mark.parametrize(
+    ("moments", "fault"),
+    [((1.0, 1.0, 2.0 + 2.9e-5), False), ((1.0, 1.0, 2.0 + 3.1e-5), True),
+     ((-1.4e-14, 1e-10, 1e-10), False), ((-1.6e-14, 1e-10, 1e-10), True),
+     ((0.0, 0.0, 0.0), False), ((np.inf, 1.0, 1.0), True)],
+)  # fmt: skip
+def test_moments_may_be_off_by_the_rounding_of_six_digits(moments, fault):
+    assert bool(inertia_fault(1.0, np.diag(moments))) == fault
+    assert inertia_fault(-1e-9, np.eye(3)).startswith(
+        "has no physical inertia (mass -1"
+    )
+    assert not inertia_fault(0.0, np.eye(3))

@@ -88,6 +88,18 @@ def test_a_joint_that_follows_another_is_no_drive_of_its_own(tmp_path):
             Robot.load(source, joints=("joint_2",))
 
 
+def test_a_joint_that_follows_a_held_one_is_where_that_takes_it(tmp_path):
+    follows = '<mimic joint="joint_1" multiplier="-2" offset="0.1"/>'
+    text = arm_of(("revolute",) * 3, ("0 1 0", "0 0 1", "1 0 0"), ("", follows, ""))
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    model = pin.buildModelFromUrdf(str(path), mimic=True)
+    given = {"joints": ("joint_3",), "held": {"joint_1": 0.3}}
+    one, two = (quiet(Robot.load, source, **given)[0] for source in (path, model))
+    assert_same(one, two)
+    assert one.held == pytest.approx({"joint_1": 0.3, "joint_2": -0.5})
+
+
 def test_gravity_and_rotors_of_a_model_count(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(arm_of(("revolute", "prismatic"), ("0 1 0", "0 0 1")))

@@ -119,7 +119,7 @@ class KinematicModel:
             names = [station_label(j, c) for c in range(3)]
             at = nominal + np.array([values.get(name, 0.0) for name in names])
             between = frame.origin - at
-            length = np.linalg.norm(between, axis=-1)
+            length = np.linalg.norm(between, axis=1)
             toward = between / length[:, None]
             residual[:, j, 0] = stretch * length - measured[:, j]
             jacobian[:, j, 0] = stretch * np.einsum("nc,ncp->np", toward, linear)
@@ -172,7 +172,7 @@ def _log_derivative(vector: Array) -> Array:
 
     Inverse left Jacobian of SO(3): Barfoot 2017, doi 10.1017/9781316671528, eq. 7.77.
     """
-    angle = np.linalg.norm(vector, axis=-1)
+    angle = np.linalg.norm(vector, axis=1)
     far = np.maximum(angle, 1e-3)  # below, the factor is 1/12 to 7 digits
     factor = 1 / far**2 - (1 + np.cos(far)) / (2 * far * np.sin(far))
     skew = np.cross(np.eye(3), vector[:, None, :])  # row k: eₖ × v

@@ -163,7 +163,7 @@ class _Fit:
         self.rejected: list[Rejected] = []
         self.iterations = self.evaluations = self.rows = 0
         self.converged = False
-        self._last: tuple[Array, list[Block]] = (np.full(1, np.nan), [])
+        self._last: tuple[Array, list[Block]] | None = None
 
     def reduce(
         self,
@@ -174,7 +174,7 @@ class _Fit:
         """Keep the parameters that are identifiable at these values; 0 if absent."""
         self.labels = labels
         x = np.array([values.get(label, 0.0) for label in labels])
-        self._last = (np.full(1, np.nan), [])
+        self._last = None
         blocks = self.blocks(x)
         self.noise = {b.name: USUAL_NOISE for b in blocks}
         self.kept = {b.name: np.ones(len(b.pose), dtype=bool) for b in blocks}
@@ -192,11 +192,11 @@ class _Fit:
         share = 1 - reduced.size / self.rows
         self.freedom = {b.name: share * b.residual.size for b in blocks}
         self.labels = reduced.kept_labels
-        self._last = (np.full(1, np.nan), [])
+        self._last = None
         return reduced
 
     def blocks(self, x: Array) -> list[Block]:
-        if not np.array_equal(x, self._last[0]):
+        if self._last is None or not np.array_equal(x, self._last[0]):
             found = self.model.blocks(self.data, self.labels, x, self.load)
             self._last = (x.copy(), found)
             self.evaluations += 1

@@ -161,8 +161,8 @@ def multisine(
     """
     limits, home = _settings(robot, posture)
     lowest, highest = (x * duration for x in _BAND)
-    lines = np.arange(np.ceil(lowest), np.floor(highest) + 1)
-    if len(lines) < robot.size or lines[0] < 1 or 2 * _BAND[1] >= rate:
+    lines = np.arange(max(np.ceil(lowest), 1.0), np.floor(highest) + 1)
+    if len(lines) < robot.size or 2 * _BAND[1] >= rate:
         raise ExcitationError(
             f"{len(lines)} tones in {duration:g} s at {rate:g} Hz; valid is one tone "
             "or more for each joint, above 0 and below half the rate"

@@ -55,7 +55,7 @@ class Source:
         start, braces, end = (self.columns or "").partition("{}")
         found = {}
         for k, label in enumerate(labels):
-            for text in (split_unit(label)[0], label):
+            for text in (label, split_unit(label)[0]):
                 joint = text[len(start) : len(text) - len(end)]
                 if text == start + joint + end and bool(joint) == bool(braces):
                     found[k] = joint or "1"

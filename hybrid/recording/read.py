@@ -86,8 +86,6 @@ def read_all(
             if single:
                 raise
             left.append(error)
-    if len(found) == 1 and left:
-        raise left[0]
     for why in left:
         warnings.warn(f"left out: {why}", HybridWarning, stacklevel=2)
     if not recordings:

@@ -195,7 +195,7 @@ def _words(path: Path, names: dict[Path, dict[int, str]]) -> list[str] | None:
         if part in entries:
             words.append(entries[part])
         elif k == len(path) - 1:
-            words[-1] = f"{words[-1]}[{part}]" if words else f"[{part}]"
+            words[-1:] = [f"{words[-1] if words else ''}[{part}]"]
         else:
             return None
     return words
