@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
+from types import FrameType
+
+_PACKAGE = __name__.partition(".")[0]
+
 
 class HybridError(Exception):
     """Base of every error raised on purpose; its message is one readable line."""
@@ -37,3 +43,12 @@ class ModelFileError(HybridError):
 
 class HybridWarning(UserWarning):
     """Something a user should know that does not stop the work."""
+
+
+def warn(text: str) -> None:
+    """Warn by a :class:`HybridWarning`, at the line outside the package that asked."""
+    frame: FrameType | None = sys._getframe(1)
+    level = 2
+    while frame and frame.f_globals.get("__name__", "").partition(".")[0] == _PACKAGE:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, HybridWarning, stacklevel=level)

@@ -2,6 +2,7 @@
 
 import weakref
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.explanation import explain, shares
+from hybrid.diagnosis.explanations.posterior import Posterior
 from hybrid.diagnosis.explanations.refit import (
     _profile_range,
     _reported,
@@ -20,7 +22,9 @@ from hybrid.diagnosis.explanations.refit import (
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.split import split
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
+from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.presliding import Presliding
@@ -613,3 +617,37 @@ def test_an_unknown_law_that_takes_a_place_leaves_causes_at_other_joints_alone()
     assert at._replace_improbable()
     assert rubs not in at.causes and tiny in at.causes and other in at.causes
     assert ("coulomb", (0,)) in at.refused
+
+
+# --- what happens at a time -----------------------------------------------------------
+
+
+def push(start, duration, recording=-1.0):
+    times = {"start": start, "duration": duration, "recording": recording}
+    return Contact((0, 1), times)
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "excludes"),
+    [
+        (push(1.0, 0.5), push(1.4, 0.5), True),
+        (push(1.0, 0.5), push(1.6, 0.5), False),
+        (push(1.0, 0.5, 0.0), push(1.2, 0.1, 1.0), False),
+        (push(1.0, 0.5, 1.0), push(1.2, 0.1, 1.0), True),
+        (push(1.0, 0.5, 1.0), push(1.2, 0.1), True),
+        (push(1.0, 0.5), RUBS, False),
+    ],
+)
+def test_an_arm_touches_one_thing_at_a_time(one, two, excludes):
+    assert one.excludes(two) == two.excludes(one) == excludes
+
+
+@pytest.mark.parametrize(("left", "little"), [(0.2, True), (0.5, False)])
+def test_an_event_explains_its_time_if_it_leaves_a_tenth_of_the_squares(left, little):
+    evidence = SimpleNamespace(rows=[np.arange(90)], noise=np.array([0.01]))
+    columns = np.zeros((90, 1))
+    columns[30:60] = 2.0
+    rest = np.where(columns[:, 0] > 0, left, 5.0)  # at other times it does not matter
+    at = SimpleNamespace(prior=Prior())
+    found = Posterior.explains(at, evidence, {0: columns}, np.array([0.5]), [rest])
+    assert found == little

@@ -293,8 +293,11 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
     at.test.tests = lambda c, causes: False
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
-    push = cause("a", repeats="recording")
+    push, at.explains_its_time = cause("a", repeats="recording"), lambda c, _: c is push
     assert at.unseen_gain([push, B]) == {push: np.inf, B: 3.0}
+    at.explains_its_time = lambda c, causes: False
+    assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
+    at.explains_its_time = lambda c, causes: c is push
     at.test.tests = lambda c, causes: True
     assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
 

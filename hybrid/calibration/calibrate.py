@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,7 +22,7 @@ from hybrid.calibration.model import KinematicModel, Steps, station_label
 from hybrid.calibration.solve import KinematicSolution, Rejected, solve
 from hybrid.calibration.steps import follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
-from hybrid.errors import CalibrationError, HybridWarning, RobotError
+from hybrid.errors import CalibrationError, RobotError, warn
 from hybrid.parameters import Parameter
 from hybrid.robot import Robot
 from hybrid.robot.edit.placements import write_placements
@@ -153,11 +152,9 @@ class Calibration(Shown):
         try:
             Robot.load(path, joints=self.robot.joints, held=self.robot.held)
         except RobotError:
-            warnings.warn(
+            warn(
                 f"{path} refers to files beside {Path(self.setup.robot.path).name}; "
-                "move it there",
-                HybridWarning,
-                stacklevel=2,
+                "move it there"
             )
 
     def _frame(self, steps: Steps) -> tuple[Array, Array]:
@@ -209,11 +206,9 @@ def calibrate(
         robust=robust,
     )
     if not solution.converged:
-        warnings.warn(
+        warn(
             f"{data.source}: the estimates have not settled after "
-            f"{solution.iterations} iterations; measure more, or more different, poses",
-            HybridWarning,
-            stacklevel=2,
+            f"{solution.iterations} iterations; measure more, or more different, poses"
         )
     return Calibration(setup, solution, data)
 

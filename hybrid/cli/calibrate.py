@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
-from hybrid.errors import HybridWarning
+from hybrid.errors import warn
 
 if TYPE_CHECKING:
     from hybrid.robot import Robot
@@ -138,9 +137,7 @@ def _warn_of_wrong_columns(errors: dict[str, dict[str, dict[str, float]]]) -> No
     for kind in ("position", "distance"):
         if kind in errors and errors[kind]["nominal"]["rms"] > _FAR:
             size = 1e3 * errors[kind]["nominal"]["rms"]
-            warnings.warn(
+            warn(
                 f"the nominal arm misses the measurements by {size:.0f} mm; check "
-                "units and order of the columns",
-                HybridWarning,
-                stacklevel=2,
+                "units and order of the columns"
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid.cli.shared import options, servos
 from hybrid.cli.shared.screen import Screen
-from hybrid.errors import EffectError, HybridError, HybridWarning
+from hybrid.errors import EffectError, HybridError, warn
 
 if TYPE_CHECKING:
     from hybrid.diagnosis.answer.result import Result
@@ -147,7 +146,7 @@ def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> 
         with screen.working("replaying all recordings"):
             shown = scene()
     except EffectError as error:
-        warnings.warn(f"nothing to scrub through: {error}", HybridWarning, stacklevel=2)
+        warn(f"nothing to scrub through: {error}")
         return
     for path in args.rerun:
         writer_of(path)(shown, path)
@@ -209,5 +208,5 @@ def _fix(result: Result, folder: Path, home: Path) -> tuple[str, ...] | None:
     try:
         return write_fixed(result, folder, home=home).notes
     except EffectError as error:
-        warnings.warn(f"no corrected simulator: {error}", HybridWarning, stacklevel=2)
+        warn(f"no corrected simulator: {error}")
         return None

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
-from hybrid.errors import HybridWarning
+from hybrid.errors import warn
 
 HELP = """simulate motions of an arm with effects that its file does not know
 writes DIR/trajectory_1.csv ... and DIR/truth.json, which holds the effects with their
@@ -91,8 +90,4 @@ def _warn_of_others(folder: Path, paths: list[Path]) -> None:
     )
     if others:
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
-        warnings.warn(
-            f"{folder} also holds {others[0]}{more}, not of this run",
-            HybridWarning,
-            stacklevel=2,
-        )
+        warn(f"{folder} also holds {others[0]}{more}, not of this run")

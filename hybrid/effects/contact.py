@@ -48,6 +48,16 @@ class Contact(Effect):
         """Force and moment during the contact, zero otherwise, shape (6,)."""
         return self._touching(np.array([t])) * self.gain_values
 
+    def excludes(self, other: Effect) -> bool:
+        """See :meth:`Effect.excludes`; the arm touches one thing at a time."""
+        if not isinstance(other, Contact):
+            return False
+        here, there = self.values, other.values
+        both = {here["recording"], there["recording"]} - {-1.0}
+        latest = max(here["start"], there["start"])
+        ends = (x["start"] + x["duration"] for x in (here, there))
+        return len(both) < 2 and latest < min(ends)
+
     def _touching(self, t: Array) -> Array:
         start, duration = self.values["start"], self.values["duration"]
         return np.where((t >= start) & (t < start + duration), 1.0, 0.0)

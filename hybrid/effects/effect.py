@@ -280,6 +280,10 @@ class Effect(InPlant, Instant, ABC):
         """
         return {}
 
+    def excludes(self, other: Effect) -> bool:
+        """Whether both cannot be at once, although they may repeat."""
+        return False
+
     @property
     def observes(self) -> bool:
         """Whether :meth:`observe` changes the motion."""

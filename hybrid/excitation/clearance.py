@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -11,7 +10,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import frames
-from hybrid.errors import HybridWarning
+from hybrid.errors import warn
 from hybrid.excitation.constraints import Index, Limits
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Chain
@@ -65,7 +64,7 @@ class Clearance:
         links = np.unique(capsules.link)
         if bare := [x for k, x in enumerate(robot.joints) if k not in links]:
             text = f"not kept apart, without collision geometry: {', '.join(bare)}"
-            warnings.warn(text, HybridWarning, stacklevel=2)
+            warn(text)
         pairs = [(i, j) for i in links for j in links if j > i + 1]
         all_pairs = cls(robot, capsules, np.array(pairs).reshape(-1, 2), margin)
         q = np.random.default_rng(0).uniform(
@@ -78,7 +77,7 @@ class Clearance:
             left_out = replace(kept, pairs=all_pairs.pairs[often]).names
             named = ", ".join(x.split("links of ")[1] for x in dict.fromkeys(left_out))
             text = f"not kept apart, as their capsules touch too often: {named}"
-            warnings.warn(text, HybridWarning, stacklevel=2)
+            warn(text)
         return kept
 
     @cached_property

@@ -6,14 +6,13 @@ joint or for all, with a warning.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
 from hybrid.effects import Effect
 from hybrid.effects.registry import check_effects
-from hybrid.errors import HybridWarning, IdentificationError
+from hybrid.errors import IdentificationError, warn
 from hybrid.identification.fit import Fit
 from hybrid.identification.identification import Identification
 from hybrid.identification.preparation import (
@@ -100,7 +99,7 @@ def identify(
     hashes = tuple(log_hash(log) for log in logs)
     fit = replace(fit, model=replace(fit.model, logs=hashes))
     for text in fit.warnings:
-        warnings.warn(text, HybridWarning, stacklevel=2)
+        warn(text)
     return fit
 
 

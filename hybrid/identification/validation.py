@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from hybrid.arguments import MODEL, RECORDING, check_argument
 from hybrid.arrays import Array
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import RecordingError, warn
 from hybrid.identification.data import check_torque
 from hybrid.identification.preparation import (
     checked_logs,
@@ -132,11 +131,9 @@ def validate(
     motions, _ = motions_from_logs(logs, model.cutoff)
     check_torque(motions)
     for source in (x.source for x in logs if log_hash(x) in model.logs):
-        warnings.warn(
+        warn(
             f"{source}: the model was identified from this log, so this is no "
-            "validation; valid are other logs",
-            HybridWarning,
-            stacklevel=2,
+            "validation; valid are other logs"
         )
     slowest = model.standing if standing is None else standing
     moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]

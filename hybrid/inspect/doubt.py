@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import RecordingError, warn
 
 Severity = Literal["error", "warning"]
 
@@ -67,4 +66,4 @@ def raise_or_warn(doubts: Sequence[Doubt], source: str, *, rows: bool = True) ->
         if doubt.is_error and (rows or not doubt.rows):
             raise RecordingError(f"{place}: {doubt.line}")
     for doubt in doubts:
-        warnings.warn(f"{place}: {doubt.line}", HybridWarning, stacklevel=3)
+        warn(f"{place}: {doubt.line}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects import Effect
-from hybrid.errors import HybridError, HybridWarning
+from hybrid.errors import HybridError, warn
 from hybrid.plant.arm import Arm, build_arm, drives, encoder_readings, overrides
 from hybrid.plant.joint_fields import falls, knees, ripples
 from hybrid.plant.lockstep import Lockstep
@@ -234,11 +233,9 @@ class Plant:
     def _warn_of_saturation(self, share: Array) -> None:
         for name, part in zip(self.robot.joints, share, strict=True):
             if part > _OFTEN_SATURATED:
-                warnings.warn(
+                warn(
                     f"the drive of {name!r} was at its torque limit for {part:.0%} of "
-                    "the time; use a slower reference",
-                    HybridWarning,
-                    stacklevel=4,
+                    "the time; use a slower reference"
                 )
 
 

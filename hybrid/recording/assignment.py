@@ -6,11 +6,10 @@ Units come from the map, the label, the file, the format or SI, in this order.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import RecordingError, warn
 from hybrid.names import printable
 from hybrid.recording.joints import match_joints
 from hybrid.recording.labels import (
@@ -113,7 +112,7 @@ class Assignment:
                 "command: {unit: deg}"
             )
         for line in lines:
-            warnings.warn(f"{home}: {line}", HybridWarning, stacklevel=5)
+            warn(f"{home}: {line}")
 
     def _label(self, column: Meaning) -> str:
         return self.labels[column.index]

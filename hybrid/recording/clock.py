@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import RecordingError, warn
 from hybrid.recording.recording import Recording, row_words
 
 JITTER = 0.01  # of a step; less is below the error of a central difference
@@ -52,13 +51,11 @@ def resample(recording: Recording) -> Recording:
     within = np.minimum(t, recording.t[-1])
     channels["q"] = PchipInterpolator(recording.t, recording.q, axis=0)(within)
     uneven = int(np.sum(error > JITTER))
-    warnings.warn(
+    warn(
         f"{recording.source or 'recording'}: irregular clock: {uneven} of "
         f"{len(steps)} steps differ from the median {step:.6g} s by more than "
         f"{JITTER:.0%} (at most {np.max(error):.0%}); resampled to {count} samples at "
-        f"{1 / step:.6g} Hz",
-        HybridWarning,
-        stacklevel=2,
+        f"{1 / step:.6g} Hz"
     )
     return replace(recording, t=t, **channels)  # type: ignore[arg-type]
 
@@ -84,12 +81,10 @@ def unbroken(recording: Recording) -> tuple[Recording, ...]:
     if not kept:
         return (recording,)
     seconds = np.ptp(recording.t) - sum(np.ptp(recording.t[r]) for r in kept)
-    warnings.warn(
+    warn(
         f"{recording.source or 'recording'}: t, {row_words(int(jumps[0]))}: first of "
         f"{len(jumps)} gaps of more than {GAP} steps; taken as {len(kept)} "
-        f"recordings, without {seconds:.3g} s of gaps and of parts below {PART:g} s",
-        HybridWarning,
-        stacklevel=2,
+        f"recordings, without {seconds:.3g} s of gaps and of parts below {PART:g} s"
     )
     parts = []
     for r in kept:

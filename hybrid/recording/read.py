@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import glob
-import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import RecordingError, warn
 from hybrid.progress import Progress
 from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
 from hybrid.recording.formats.frame import table_of_frame
@@ -87,7 +86,7 @@ def read_all(
                 raise
             left.append(error)
     for why in left:
-        warnings.warn(f"left out: {why}", HybridWarning, stacklevel=2)
+        warn(f"left out: {why}")
     if not recordings:
         raise RecordingError(f"{next(iter(found)).parent}: no file there holds joints")
     return recordings

@@ -6,14 +6,13 @@ from geometry are exactly those of MuJoCo.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hybrid.errors import HybridWarning, RobotError
+from hybrid.errors import RobotError, warn
 from hybrid.robot.actuators import (
     bristles,
     drives_of,
@@ -241,11 +240,9 @@ def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:
     by_drives = model.jnt_actgravcomp[index].all()
     if not share.any() or by_drives or np.ptp(share) > 0:
         return np.asarray(gravity)
-    warnings.warn(
+    warn(
         f"gravcomp of the file takes {share[0]:.0%} of the links' weight off the "
-        "drives; if the torque of a log carries it, take gravcomp out",
-        HybridWarning,
-        stacklevel=5,
+        "drives; if the torque of a log carries it, take gravcomp out"
     )
     return np.asarray((1.0 - share[0]) * gravity)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.errors import HybridWarning, RobotError
+from hybrid.errors import RobotError, warn
 from hybrid.names import name_fault
 from hybrid.robot.chain import Chain
 from hybrid.robot.read import read_robot
@@ -158,11 +157,9 @@ class Robot:
         values["rotor inertia"] = self.chain.armature
         for name, x in values.items():
             for j in np.flatnonzero(x < 0).tolist():
-                warnings.warn(
+                warn(
                     f"{self.path or self.name}: {name} of joint {self.joints[j]!r} is "
-                    f"{x[j]:g}, which drives the joint; valid is 0 or more",
-                    HybridWarning,
-                    stacklevel=3,
+                    f"{x[j]:g}, which drives the joint; valid is 0 or more"
                 )
 
     def __repr__(self) -> str:

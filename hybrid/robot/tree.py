@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.errors import HybridWarning, RobotError
+from hybrid.errors import RobotError, warn
 from hybrid.robot.chain import MOST_JOINTS, Chain
 from hybrid.robot.spatial import (
     inertia_fault,
@@ -273,7 +272,7 @@ def serial_joints(
     others = {name for name in tree.parents if name not in kept}
     if others:
         text = _choice(tree, kept, others, held)
-        warnings.warn(text, HybridWarning, stacklevel=5)
+        warn(text)
     return kept
 
 

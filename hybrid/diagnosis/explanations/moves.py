@@ -44,10 +44,10 @@ class Moves(Proposals):
     def _is_cross_validated(self, causes: Sequence[Cause]) -> bool:
         """Whether some causes have a smaller held-out loss than the present ones.
 
-        A new one that happens once has no other fold to be judged by.
+        An event that explains its time is not foretold by other folds.
         """
         new = [c for c in causes if c not in self.causes]
-        if new and all(self.happens_once(c, causes) for c in new):
+        if new and all(self.explains_its_time(c, causes) for c in new):
             return True
         now, then = map(self.held_out_loss, (self.causes, causes))
         return bool(np.all(then < now))

@@ -31,7 +31,7 @@ from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.other_samples import TAIL, OtherSamples
+from hybrid.diagnosis.explanations.other_samples import OtherSamples
 from hybrid.diagnosis.explanations.unknown_laws import UnknownLaws
 from hybrid.diagnosis.gap.background import (
     background,
@@ -198,14 +198,36 @@ class Posterior:
 
         return np.asarray(self._cached(loss, "held-out loss", frozenset(causes)))
 
-    def happens_once(self, cause: Cause, causes: Sequence[Cause]) -> bool:
-        """Whether one of some causes is an event in a single fold of the samples."""
+    def explains_its_time(self, cause: Cause, causes: Sequence[Cause]) -> bool:
+        """Whether one of some causes is an event that leaves little while it lasts.
+
+        No other motion foretells an event. Its torque has to be all that happens then.
+        """
         if not cause.is_event:
             return False
-        gains = self.evidence.solve(self.columns(causes)).of(cause.index)
-        products, _ = self.evidence.normal_by_fold(cause.index)
-        squares = products @ gains @ gains
-        return bool(squares.max() >= (1.0 - TAIL) * squares.sum())
+        index = self.columns(causes)
+        gains = self.evidence.solve(index).of(cause.index)
+        columns, lefts = self.columns_of(cause), self.evidence.residuals(index)
+        return self.explains(self.evidence, columns, gains, lefts)
+
+    def explains(
+        self, evidence: Evidence, columns: Columns, gains: Array, lefts: Sequence[Array]
+    ) -> bool:
+        """Whether a torque leaves little while it lasts.
+
+        Args:
+            evidence: The samples.
+            columns: Torque per gain by joint, shape (M, p) each.
+            gains: Shape (p,).
+            lefts: What it leaves at each joint, in the order of ``evidence.rows``.
+        """
+        before = after = 0.0
+        for i, (left, rows) in enumerate(zip(lefts, evidence.rows, strict=True)):
+            torque = columns[i][rows] @ gains if i in columns else np.zeros(len(rows))
+            lasts = np.abs(torque) > np.abs(torque).max(initial=0.0) / 2
+            before += ((left + torque)[lasts] ** 2).sum() / evidence.noise[i]
+            after += (left[lasts] ** 2 / evidence.noise[i] - 1.0).sum()
+        return bool(after < self.prior.left_of_event * before)
 
     def unseen_loss(self, causes: Sequence[Cause]) -> Array:
         """Loss of some causes on the test samples, shape (2,), [nat].
@@ -231,7 +253,8 @@ class Posterior:
             return {}
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
         for c in causes:
-            if c.is_event and not self.test.tests(c, causes):
+            event = self.explains_its_time(c, causes)
+            if event and not self.test.tests(c, causes):
                 gains[c] = np.inf
                 continue
             rest = [x for x in causes if x is not c]

@@ -67,9 +67,12 @@ class Proposals(Posterior):
         base, found = self.columns(rest), list[Proposal]()
         less = base[:0] if own is None else own.index
         ranked = self.pool.ranked(whole, self.taken(rest), less)
+        there = [k.candidate.effect for k in rest if k.candidate is not None]
         ranked = [
             (c, x) for c, x in ranked
-            if c.place not in self.refused and (at is None or {*c.place[1]} & {*at})
+            if c.place not in self.refused
+            and (at is None or {*c.place[1]} & {*at})
+            and not any(c.effect.excludes(k) for k in there)
         ]  # fmt: skip
         rough = {c.place[1][-1]: 0.0 for c, _ in ranked}
         for c, x in ranked:

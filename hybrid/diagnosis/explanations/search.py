@@ -115,7 +115,13 @@ class Search(Moves):
         left = test.residuals(self.causes)
         for c in self.pool.contacts(test.evidence, left, most * len(gap.motions)):
             better, worth = refine(test.evidence, base, c)
-            if worth - self.prior.cause - self.model_error_odds(better) > LEAST_GAIN:
+            if worth - self.prior.cause - self.model_error_odds(better) <= LEAST_GAIN:
+                continue
+            columns = gap.columns(better.effect)
+            gains = test.evidence.trial(base, columns, better.std, better.lower).gains
+            pairs = enumerate(zip(left, test.evidence.rows, strict=True))
+            after = [x - columns[i][rows] @ gains for i, (x, rows) in pairs]
+            if self.explains(test.evidence, columns, gains, after):
                 found |= _around(gap, better.effect)
         return found & test.use
 

@@ -7,12 +7,11 @@ header, or that of the recorder if headers have none.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import RecordingError, warn
 from hybrid.files import read_yaml
 from hybrid.names import printable
 from hybrid.progress import Progress
@@ -102,9 +101,7 @@ def _defined(connection: Any) -> dict[str, Any]:
 
 def _warn(source: str, topic: str, reason: str) -> None:
     line = (reason.splitlines() or [""])[0][:200]
-    warnings.warn(
-        f"{source}: left out topic {topic}: {line}", HybridWarning, stacklevel=4
-    )
+    warn(f"{source}: left out topic {topic}: {line}")
 
 
 def _has_lists(kind: str, types: dict[str, Any], depth: int) -> bool:
