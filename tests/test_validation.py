@@ -168,3 +168,10 @@ def test_another_arm_and_other_joints_are_refused(fit, logs):
         validate(fit.model, [renamed])
     with pytest.raises(IdentificationError, match="no recording"):
         validate(fit.model, [])
+
+
+def test_a_model_without_a_speed_of_standing_takes_that_of_the_log(fit, logs):
+    bare = validate(replace(fit.model, standing=np.zeros(0)), logs[3:])
+    whole = validate(fit.model, logs[3:])
+    rows = zip(bare.rows, whole.rows, strict=True)
+    assert all(a.mean == pytest.approx(b.mean, rel=0.05) for a, b in rows)

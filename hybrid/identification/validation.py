@@ -11,8 +11,9 @@ import numpy as np
 from hybrid.arguments import MODEL, RECORDING, check_argument
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError, warn
-from hybrid.identification.data import check_torque
+from hybrid.identification.data import check_torque, fastest
 from hybrid.identification.preparation import (
+    STANDING,
     checked_logs,
     log_hash,
     motions_from_logs,
@@ -136,6 +137,8 @@ def validate(
             "validation; valid are other logs"
         )
     slowest = model.standing if standing is None else standing
+    if not np.size(slowest):  # a model that was not identified
+        slowest = STANDING * fastest(motions)
     moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
     count = np.sum([x.sum(axis=0) for x in moving], axis=0)
 

@@ -47,6 +47,7 @@ def contacts_in_motion(gap: Gap, effects: Iterable[Effect]) -> tuple[Event, ...]
     found, t = [], gap.sampled.t
     for effect in (e for e in effects if isinstance(e, Contact)):
         number, start = int(effect.values["recording"]), effect.values["start"]
+        number = 0 if len(gap.motions) == 1 else number
         end = start + effect.values["duration"]
         during = gap.sampled.mask & (t >= start) & (t < end)
         if number >= 0:

@@ -307,4 +307,4 @@ def _around(gap: Gap, contact: Effect) -> NDArray[np.bool_]:
     )
     t, reach = gap.sampled.t, length + 1.0 / gap.cutoff
     near = (t >= start - reach) & (t < start + length + reach)
-    return np.asarray(near & (gap.trajectory == recording))
+    return np.asarray(near & ((recording < 0) | (gap.trajectory == recording)))
