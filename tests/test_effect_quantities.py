@@ -44,7 +44,7 @@ deadzone              width             0.02     0        0.3      τ     N·m
 deadzone              onset             0.005    0.0005   0.3      τ     N·m inner
 deadzone              total             0        0        1        1     - inner whole
 delay                 time              0.005    -0.05    0.05     1     s
-elasticity            compliance        0.01     0        1.0      1/τ   rad/(N·m)
+elasticity            compliance        0.01     0        0.5      1/τ   rad/(N·m)
 elasticity            damping           0.02     0        1        τ/v   N·m·s/rad
 encoder_eccentricity  sine              0.004    -0.05    0.05     1     rad
 encoder_eccentricity  cosine            0.002    -0.05    0.05     1     rad

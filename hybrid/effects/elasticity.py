@@ -41,7 +41,7 @@ class Elasticity(Effect):
     # Noise of positions is largest at the natural frequency, and looks like damping.
     inexact: ClassVar[Mapping[str, float]] = {"compliance": 0.05, "damping": 0.5}
     not_in_loop = "its link swings by the load that comes next"
-    gains = (Quantity("compliance", "rad/(N·m)", 0.01, 0.0, 1.0, per=(-1, 0)),)
+    gains = (Quantity("compliance", "rad/(N·m)", 0.01, 0.0, 0.5, per=(-1, 0)),)
     shapes = (Quantity("damping", "N·m·s/rad", 0.02, 0.0, 1.0, per=(1, -1)),)
     equation = "τ = K (θ − q) + D (dθ/dt − dq/dt)"
     source = "Spong 1987, doi 10.1115/1.3143860"
