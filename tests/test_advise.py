@@ -66,6 +66,7 @@ def read_reference(path, most=np.inf):
     return Reference(table[:, 0], *np.split(table[:, 1:], 3, axis=1))
 
 
+@pytest.mark.study
 def test_the_advised_experiment_splits_the_class(tmp_path):
     before, logs = poorly_recorded("load_friction", 0, 0.3)
     rivals_before = class_at(before, 0) - {"load_friction"}

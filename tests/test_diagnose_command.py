@@ -233,6 +233,7 @@ def test_the_law_is_that_of_the_simulated_loop(feeds):
     assert found.parameters[0].value == pytest.approx(0.012, abs=3e-4)
 
 
+@pytest.mark.study
 def test_both_links_make_one_diagnosis(tmp_path):
     robot, recordings = logged(LATE, Stribeck((1,), {"level": 1.5, "velocity": 0.1}))
     result = examine(robot, recordings)

@@ -62,6 +62,7 @@ def test_the_order_of_the_motions_does_not_matter():
     assert program.excess(turned) == program.excess(x)
 
 
+@pytest.mark.study
 def test_a_set_is_better_than_motions_one_after_the_other():
     assert chosen(True).condition < chosen(False).condition
 

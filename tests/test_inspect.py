@@ -230,6 +230,7 @@ def test_small_motion_is_no_fault_of_the_log(name):
     joint=st.integers(0, 5),
 )
 @settings(max_examples=5)
+@pytest.mark.study
 def test_no_gap_however_large_is_taken_for_another_order(mass, level, joint):
     arm = robot("coman_like")
     sizes = {"mass": 1.0, "mz": 0.1, "Ixx": 0.012, "Iyy": 0.012, "Izz": 0.002}

@@ -106,6 +106,7 @@ def test_a_carried_mass_weighs_at_the_centre_of_the_last_link():
     np.testing.assert_allclose(holding - before, alone * 2.0 / own[-1, 0])
 
 
+@pytest.mark.study
 def test_a_gap_along_an_experiment_is_of_the_simulator_and_empty():
     rng = np.random.default_rng(0)
     path = random_fourier(arm("planar"), duration=5.0, rate=250.0, seed=rng)

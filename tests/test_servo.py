@@ -212,6 +212,7 @@ def test_a_file_says_a_dead_band_as_far_as_it_can(folder):
     assert float(less[2]) == pytest.approx(1000 * fit.after[0], abs=0.06)
 
 
+@pytest.mark.study
 def test_play_of_a_gear_is_found_and_measured(folder):
     logs = [log(k, seconds=6.0, play=0.03) for k in range(2)]
     fit = fit_servo(arm(folder), logs)
@@ -417,6 +418,7 @@ def test_heights_are_those_of_the_simulator():
         assert seen == pytest.approx(data.xipos[1:] @ up, abs=1e-9)
 
 
+@pytest.mark.study
 def test_a_table_that_a_link_comes_down_on_is_found(robot):
     logs = [log(k, 6.0, low=True) for k in range(3)]
     fit = fit_servo(robot, logs)
