@@ -474,7 +474,6 @@ class TestCause:
         assert finding.joints == ("elbow",)
 
     @pytest.mark.study
-    @pytest.mark.xfail(reason="each passing is taken for a contact", strict=True)
     def test_a_notch_at_one_angle_is_no_ripple(self):
         """Nine orders evenly apart make it up, as they make up any law over a range."""
         robot, recordings = logs([])

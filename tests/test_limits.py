@@ -276,4 +276,5 @@ def test_numbers_that_no_saved_model_has_are_refused(tmp_path, change, words):
     ],
 )  # fmt: skip
 def test_numbers_that_a_saved_model_may_have_are_read(tmp_path, change):
-    saved(tmp_path / "model.json", change)
+    model = saved(tmp_path / "model.json", change)
+    assert [e.values["level"] for e in model.effects] == [1.0, 2.0]

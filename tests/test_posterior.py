@@ -642,12 +642,22 @@ def test_an_arm_touches_one_thing_at_a_time(one, two, excludes):
     assert one.excludes(two) == two.excludes(one) == excludes
 
 
-@pytest.mark.parametrize(("left", "little"), [(0.2, True), (0.5, False)])
-def test_an_event_explains_its_time_if_it_leaves_a_tenth_of_the_squares(left, little):
-    evidence = SimpleNamespace(rows=[np.arange(90)], noise=np.array([0.01]))
+@pytest.mark.parametrize(
+    ("left", "noise", "others", "little"),
+    [
+        (0.1, 0.01, 5.0, True),
+        (0.2, 0.01, 5.0, False),  # 0.04 − 0.01 is above a hundredth of 1.2²
+        (0.2, 0.04, 5.0, True),
+        (0.2, 0.04, 0.01, False),  # the noise of most samples is far lower
+    ],
+)
+def test_an_event_leaves_no_more_than_the_error_of_a_real_law(
+    left, noise, others, little
+):
+    evidence = SimpleNamespace(rows=[np.arange(90)], noise=np.array([noise]))
     columns = np.zeros((90, 1))
     columns[30:60] = 2.0
-    rest = np.where(columns[:, 0] > 0, left, 5.0)  # at other times it does not matter
+    rest = np.where(columns[:, 0] > 0, left, others)
     at = SimpleNamespace(prior=Prior())
     found = Posterior.explains(at, evidence, {0: columns}, np.array([0.5]), [rest])
     assert found == little

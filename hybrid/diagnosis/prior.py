@@ -24,7 +24,6 @@ class Prior:
         refined_share: Evidence of such a candidate over that of the best one, at least.
         most_repeated: Largest number of unknown laws and of ripples at a joint, and of
             contacts in a recording.
-        left_of_event: Share of the squares during an event that it may leave.
         slow_share: Share of a residual's squares by which the lower half of its band
             may exceed the upper half in noise.
         probable: Probability of a known effect in the place of a cause, above which the
@@ -43,7 +42,6 @@ class Prior:
     shortlist: int = 6
     refined_share: float = 0.5
     most_repeated: int = 3
-    left_of_event: float = 0.1
     slow_share: float = 0.33
     probable: float = 0.5
     alternative: float = 0.01

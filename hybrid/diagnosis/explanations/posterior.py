@@ -39,6 +39,7 @@ from hybrid.diagnosis.gap.background import (
     sampling_delays,
 )
 from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.diagnosis.gap.measure import NORMAL
 from hybrid.diagnosis.gap.split import unseen_samples
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
@@ -213,7 +214,9 @@ class Posterior:
     def explains(
         self, evidence: Evidence, columns: Columns, gains: Array, lefts: Sequence[Array]
     ) -> bool:
-        """Whether a torque leaves little while it lasts.
+        """Whether a torque leaves no more, while it lasts, than a real law's error.
+
+        The estimate of the noise may hold other events: that of most samples counts.
 
         Args:
             evidence: The samples.
@@ -225,9 +228,11 @@ class Posterior:
         for i, (left, rows) in enumerate(zip(lefts, evidence.rows, strict=True)):
             torque = columns[i][rows] @ gains if i in columns else np.zeros(len(rows))
             lasts = np.abs(torque) > np.abs(torque).max(initial=0.0) / 2
-            before += ((left + torque)[lasts] ** 2).sum() / evidence.noise[i]
-            after += (left[lasts] ** 2 / evidence.noise[i] - 1.0).sum()
-        return bool(after < self.prior.left_of_event * before)
+            usual = (NORMAL * np.median(np.abs(left))) ** 2 if len(left) else 0.0
+            noise = min(evidence.noise[i], usual) or evidence.noise[i]
+            before += ((left + torque)[lasts] ** 2).sum() / noise
+            after += (left[lasts] ** 2 / noise - 1.0).sum()
+        return bool(after < self.prior.real_law_error**2 * before)
 
     def unseen_loss(self, causes: Sequence[Cause]) -> Array:
         """Loss of some causes on the test samples, shape (2,), [nat].
