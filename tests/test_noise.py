@@ -35,10 +35,14 @@ def test_whitened_samples_have_the_covariance_of_white_ones(pole, hole):
     np.testing.assert_allclose(W @ own @ W.T, np.eye(40), atol=1e-9)
 
 
-def test_colouring_undoes_whitening():
-    x = np.random.default_rng(0).standard_normal(50)
-    noise = Noise(covariance(0.9), np.arange(50) % 20 > 0)
-    np.testing.assert_allclose(noise.colour(noise.whiten(x)), x, atol=1e-12)
+@given(pole=st.floats(-0.95, 0.95), hole=st.integers(1, 39))
+def test_weighting_is_by_the_inverse_of_the_covariance(pole, hole):
+    follows = np.ones(40, dtype=bool)
+    follows[[0, hole]] = False
+    own = toeplitz(covariance(pole, lags=39))
+    own[:hole, hole:] = own[hole:, :hole] = 0.0
+    weighted = Noise(covariance(pole), follows).weight(own)
+    np.testing.assert_allclose(weighted, np.eye(40), atol=1e-9)
 
 
 def test_the_covariance_of_a_long_signal_is_found():
@@ -95,7 +99,6 @@ def test_the_evidence_of_coloured_noise_is_that_of_its_covariance():
 
 
 def test_noise_may_be_weighed_anew():
-    """Columns are kept whitened; they are coloured again before."""
     gap, *_, evidence, index = problem(5)
     gap.trajectory = np.zeros(len(gap.fold), dtype=int)
     every = np.concatenate(index)

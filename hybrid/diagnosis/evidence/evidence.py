@@ -151,12 +151,12 @@ class Evidence(Products):
         A, b = G.sum(axis=0) + np.diag(self.precision[index]), c.sum(axis=0)
         gains = np.linalg.solve(A - G, (b - c)[..., None])[..., 0]
         lost = np.zeros(2)
-        for i, white in enumerate(self._white):
-            left = white.copy()
+        for i, joint in enumerate(self._joints):
+            left = joint.left.copy()
             for g, (first, last) in zip(gains, self.fold_edges(i), strict=True):
-                left[first:last] -= self._fitted(i, index, g, slice(first, last))
-            raw = self._colour(i, left)
-            lost += raw @ raw / self.noise[i], left @ left * self._weight(i)
+                left[first:last] -= self.fitted(i, index, g, slice(first, last))
+            white = joint.whiten(left)
+            lost += left @ left / self.noise[i], white @ white * self._weight(i)
         return lost
 
     def screen(

@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import solve_banded
 from scipy.ndimage import uniform_filter1d
 
 from hybrid.arrays import Array
@@ -46,21 +45,20 @@ class Noise:
         start = np.where(follows, 0, np.arange(count))
         since = np.arange(count) - np.maximum.accumulate(start)
         by_row = predictors[np.minimum(since, p)]  # (R, p + 1)
-        self._bands = np.zeros((p + 1, count))  # as SciPy stores lower bands
+        bands = np.zeros((p + 1, count))  # as SciPy stores lower bands
         for k in range(min(p + 1, count)):
-            self._bands[k, : count - k] = by_row[k:, k]
-        shape = count, count
-        bands = sparse.dia_array((self._bands, -np.arange(p + 1)), shape=shape)
-        self._matrix = bands.tocsr()
+            bands[k, : count - k] = by_row[k:, k]
+        lower = sparse.dia_array((bands, -np.arange(p + 1)), shape=(count, count))
+        self._matrix = lower.tocsr()
+        self._transposed = lower.T.tocsr()
 
     def whiten(self, x: Array) -> Array:
         """Whitened samples, shape (R, ...)."""
         return np.asarray(self._matrix @ x)
 
-    def colour(self, x: Array) -> Array:
-        """The inverse of :meth:`whiten`."""
-        below = len(self._bands) - 1
-        return np.asarray(solve_banded((below, 0), self._bands, x))
+    def weight(self, x: Array) -> Array:
+        """Samples times the inverse covariance of the process, shape (R, ...)."""
+        return np.asarray(self._transposed @ (self._matrix @ x))
 
 
 def _predictors(covariance: Array) -> Array:

@@ -163,7 +163,7 @@ def _flexible(evidence: Evidence, i: int, index: Index) -> tuple[Array, float, f
     Source: Golub, Heath, Wahba 1979, doi 10.1080/00401706.1979.10489751 (degrees of
     freedom of a ridge regression).
     """
-    columns, gap = evidence.columns_at(i, index), evidence.left[i]
+    columns, gap = evidence.base_columns(index, i)[1], evidence.left[i]
     parts = [(columns[:, a:b], gap[a:b]) for a, b in evidence.fold_edges(i)]
     G = np.array([x @ x.T for x, _ in parts])
     c = np.array([x @ y for x, y in parts])
