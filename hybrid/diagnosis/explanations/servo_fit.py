@@ -67,7 +67,7 @@ def fit(servo: ServoLog, choice: Sequence[Law], *, immediate: bool) -> Fit:
     """Fit the law, latency, delay and gains with the least squared residual.
 
     All laws are scanned over all latencies, from one set of cross-products. The best
-    latency of each law is refined by Gauss–Newton steps. A scale of the torque, and a
+    law and latency are refined by Gauss–Newton steps. A scale of the torque, and a
     delay of it, are fitted only where there is evidence for them.
 
     With ``immediate`` torque must follow the command without latency; the logged
@@ -75,15 +75,20 @@ def fit(servo: ServoLog, choice: Sequence[Law], *, immediate: bool) -> Fit:
     """
 
     def best(scaled: bool, shifted: bool) -> Fit | None:
-        fits = []
-        for law in choice:
-            if law.scaled == scaled:
-                start, basis = _start(servo.products, law, immediate, shifted)
-                fits.append((_refined(servo.thin, law, start, basis), basis))
-        if not fits:
+        starts = [
+            (*_start(servo.products, law, immediate, shifted), law)
+            for law in choice
+            if law.scaled == scaled
+        ]
+        if not starts:
             return None
-        found, basis = min(fits, key=lambda x: float(x[0].left @ x[0].left))
-        return _refined(servo, found.law, np.array([found.late, found.shift]), basis)
+        # The scan over latencies knows a delay of the torque only to first order.
+        few = starts if shifted else [min(starts, key=lambda x: x[0])]
+        fits = [
+            (_refined(servo.thin, law, x, along), along) for _, x, along, law in few
+        ]
+        found, along = min(fits, key=lambda x: float(x[0].left @ x[0].left))
+        return _refined(servo, found.law, np.array([found.late, found.shift]), along)
 
     at_scale, scaled = best(False, False), best(True, False)
     if at_scale and scaled and abs(scaled.gains[0] - 1.0) > _MOST_SCALE:
@@ -144,26 +149,30 @@ def log_likelihood_ratio(servo: ServoLog, first: Fit, second: Fit) -> float:
     return float(independent / 2 * np.log(before / after))
 
 
-def _start(G: Array, law: Law, immediate: bool, shifted: bool) -> tuple[Array, Array]:
-    """Initial (T, S) from the scan, and the directions in which they may change."""
+def _start(
+    G: Array, law: Law, immediate: bool, shifted: bool
+) -> tuple[float, Array, Array]:
+    """Squares and (T, S) of the scan's best, and the directions of a refinement."""
     slope, along = np.eye(SIGNALS)[SLOPE], np.eye(2)
     if not shifted:
-        late = LATENCIES[np.argmin(_solve(G, law.columns, law.target)[0])]
+        squares = _solve(G, law.columns, law.target)[0]
         if immediate:
-            return np.zeros(2), np.zeros((2, 0))
-        return np.array([late, 0.0]), along[:, :1]
+            return squares[0], np.zeros(2), np.zeros((2, 0))
+        k = int(np.argmin(squares))
+        return squares[k], np.array([LATENCIES[k], 0.0]), along[:, :1]
     squares, x = _solve(G, np.column_stack([law.columns, -slope]), law.target)
     shift = np.clip(x[:, -1], -MOST_SHIFT, MOST_SHIFT)
     if not immediate:
         k = int(np.argmin(squares))
-        return np.array([LATENCIES[k], shift[k]]), along
+        return squares[k], np.array([LATENCIES[k], shift[k]]), along
     # Either the torque or the position was logged late.
     behind = law.target - LATENCIES[LATENCIES <= MOST_SHIFT, None] * slope
     others, _ = _solve(G[: len(behind)], law.columns, behind)
     k = int(np.argmin(others))
     if shift[0] > 0 and squares[0] < others[k]:
-        return np.array([0.0, shift[0]]), along[:, 1:]
-    return np.array([LATENCIES[k], -LATENCIES[k]]), np.array([[1.0], [-1.0]])
+        return squares[0], np.array([0.0, shift[0]]), along[:, 1:]
+    start = np.array([LATENCIES[k], -LATENCIES[k]])
+    return others[k], start, np.array([[1.0], [-1.0]])
 
 
 def _solve(G: Array, columns: Array, target: Array) -> tuple[Array, Array]:
