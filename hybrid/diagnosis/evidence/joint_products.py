@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,14 +53,19 @@ class JointProducts:
         """Samples times the precision of the noise, shape (R, ...)."""
         return x if self._noise is None else self._noise.weight(x)
 
-    def add(self, block: Array, numbers: Index) -> None:
-        """Add a block of columns, one a row, shape (p, R)."""
-        first, size = len(self.owner), len(self.owner) + len(block)
+    def add(self, blocks: Sequence[tuple[Array, Index]]) -> None:
+        """Add blocks of columns, one a row, shape (p, R), with their numbers."""
+        at = len(self.owner)
+        size = at + sum(len(x) for x, _ in blocks)
         if size > len(self._memory):
-            self._memory = _enlarged(self._memory, first, size)
-        self._memory[first:size] = block
-        self.owner = np.concatenate([self.owner, numbers])
-        self._first = np.concatenate([self._first, np.full(len(block), first)])
+            self._memory = _enlarged(self._memory, at, size)
+        owner, first = [self.owner], [self._first]
+        for x, numbers in blocks:
+            self._memory[at : at + len(x)] = x
+            owner.append(numbers)
+            first.append(np.full(len(x), at))
+            at += len(x)
+        self.owner, self._first = np.concatenate(owner), np.concatenate(first)
 
     def columns(self, places: Index) -> Array:
         """Some columns, one a row."""

@@ -62,13 +62,15 @@ class Products:
         self, blocks: Sequence[Columns], sizes: Sequence[int]
     ) -> list[Index]:
         """Add blocks of columns of some sizes; see :meth:`.Evidence.add`."""
-        index = []
+        index, fresh = [], [list[tuple[Array, Index]]() for _ in self.rows]
         for columns, count in zip(blocks, sizes, strict=True):
             own = np.arange(self.size, self.size + count)
             for i, x in columns.items():
-                self._joints[i].add(x[self.rows[i]].T, own)
+                fresh[i].append((x[self.rows[i]].T, own))
             index.append(own)
             self.size += count
+        for joint, parts in zip(self._joints, fresh, strict=True):
+            joint.add(parts)
         return index
 
     def set_covariances(self, covariances: Sequence[Array]) -> None:
