@@ -25,6 +25,12 @@ OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "less": np.less, "less_equal": np.less_equal,
     "greater": np.greater, "greater_equal": np.greater_equal,
 }  # fmt: skip
+# Derivatives of operations by their arguments, as far as rigid bodies need them.
+_SLOPES: Mapping[str, Callable[..., tuple[Any, ...]]] = {
+    "add": lambda x, y: (1.0, 1.0), "subtract": lambda x, y: (1.0, -1.0),
+    "multiply": lambda x, y: (y, x), "negative": lambda x: (-1.0,),
+    "sin": lambda x: (np.cos(x),), "cos": lambda x: (-np.sin(x),),
+}  # fmt: skip
 _SAME = {"true_divide": "divide", "float_power": "power"}
 _MOST_FACTORS = 4  # of an integer power that is recorded as products
 
@@ -81,6 +87,33 @@ class Tape:
                     if isinstance(x, int):
                         marked[x] = True
         return [line for line, needed in enumerate(marked) if needed]
+
+    def gradient(
+        self, results: Sequence[Symbol], seeds: Sequence[Any], inputs: Sequence[Symbol]
+    ) -> list[Any]:
+        """Derivatives of ``sum(seed * result)`` by inputs, by reverse differentiation.
+
+        Args:
+            results: Symbols of the tape.
+            seeds: Factor of each result.
+            inputs: Inputs of the tape.
+        """
+        slope: dict[int, Any] = {}
+
+        def add(line: int, x: Any) -> None:
+            slope[line] = slope[line] + x if line in slope else x
+
+        for result, seed in zip(results, seeds, strict=True):
+            add(result.line, seed)
+        for line in reversed(self.needed(results)):
+            name, arguments = self.lines[line].name, self.lines[line].arguments
+            if name == "input":
+                continue
+            x = [Symbol(self, y) if isinstance(y, int) else y for y in arguments]
+            for argument, factor in zip(arguments, _SLOPES[name](*x), strict=True):
+                if isinstance(argument, int):
+                    add(argument, slope[line] * factor)
+        return [slope.get(x.line, 0.0) for x in inputs]
 
     def _line(self, name: str, arguments: tuple[Any, ...]) -> int:
         key = (name, *((type(x), x) for x in arguments))
