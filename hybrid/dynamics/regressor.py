@@ -74,13 +74,7 @@ def regressor_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of ``sum(weight * regressor(chain, q, v, a))`` by the motion.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
-        weight: Weight of each entry of the regressor, shape (N, n, 10n). Entries of
-            joints beyond a link have no effect.
+    The weights have shape (N, n, 10n); those of joints beyond a link have no effect.
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).
@@ -97,13 +91,7 @@ def torque_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of one joint's rigid-body torque in each sample by the motion.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
-        inertial: Link parameters, shape (n, 10).
-        joint: Index of the joint in each sample, shape (N,).
+    The link parameters have shape (n, 10), the joint's index in each sample (N,).
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).

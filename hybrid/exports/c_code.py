@@ -13,7 +13,7 @@ from typing import Any
 from hybrid.dynamics.tape import Operation, Symbol
 from hybrid.errors import HybridError
 from hybrid.exports.manifest import UNITS_OF_KIND
-from hybrid.exports.program import Program
+from hybrid.model.program import Program
 from hybrid.names import c_comment, c_identifier
 from hybrid.robot import Robot
 

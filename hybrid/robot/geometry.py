@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element
 
+import mujoco
 import numpy as np
+from scipy.cluster.vq import kmeans2
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
@@ -154,8 +156,6 @@ def _mesh(file: Path) -> tuple[Array, np.ndarray]:
 
 
 def _mjcf_pieces(model: Any) -> Iterator[Piece]:
-    import mujoco
-
     shape = mujoco.mjtGeom
     for g in range(model.ngeom):
         kind, size = model.geom_type[g], model.geom_size[g]
@@ -201,8 +201,6 @@ def _box(half: Array) -> Array:
 
 def _pieces(points: Array, triangles: np.ndarray) -> Iterator[Array]:
     """Split the points of a mesh into groups; each triangle lies in one group."""
-    from scipy.cluster.vq import kmeans2
-
     if len(triangles) == 0:
         yield points
         return
