@@ -49,12 +49,7 @@ class RigidBody:
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m].
 
-        It is linear in the change.
-
-        Args:
-            dq: Change of position, shape (N, n), [rad].
-            dv: Change of speed, shape (N, n), [rad/s].
-            da: Change of acceleration, shape (N, n), [rad/s²].
+        It is linear in the changes of position, speed and acceleration, (N, n) each.
         """
         total = np.zeros_like(self.motion.q)
         for j in range(self.chain.size):
@@ -88,14 +83,7 @@ class RigidBody:
         return self.chain.gravity
 
     def weight(self, gravity: Array) -> Array:
-        """Torque that holds the links at rest in a uniform gravity.
-
-        Args:
-            gravity: Acceleration in the base frame, shape (3,), [m/s²].
-
-        Returns:
-            Torque, shape (N, n), [N·m].
-        """
+        """Torque that holds the links at rest in a gravity, shape (N, n), [N·m]."""
         rest = np.zeros_like(self.motion.q)
         chain = replace(self.chain, gravity=gravity)
         return inverse_dynamics(chain, self.inertial, self.motion.q, rest, rest)

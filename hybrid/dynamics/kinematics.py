@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.robot.chain import Chain
@@ -11,15 +12,9 @@ from hybrid.robot.chain import Chain
 def frames(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
     """Orientation, origin and joint axis of each link in the base frame.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-
-    Returns:
-        Shapes (n, N, 3, 3), (n, N, 3) and (n, N, 3).
+    Positions q have shape (N, n), [rad]; the results have shapes (n, N, 3, 3),
+    (n, N, 3) and (n, N, 3).
     """
-    from scipy.spatial.transform import Rotation
-
     count = len(q)
     R, p = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
     out: tuple[list[Array], list[Array], list[Array]] = ([], [], [])

@@ -41,13 +41,9 @@ def newton_euler(
 ) -> list[Any]:
     """Rigid-body joint torque, length n, [N·m].
 
-    Args:
-        chain: The arm; only its kinematics are used.
-        inertial: Ten parameters of each link, length n.
-        gravity: Acceleration of gravity in the base frame, length 3, [m/s²].
-        q: Position of each joint, length n, [rad].
-        v: Speed of each joint, length n, [rad/s].
-        a: Acceleration of each joint, length n, [rad/s²].
+    Of the chain only the kinematics are used. Each link has ten inertial parameters;
+    gravity is in the base frame, [m/s²]. Positions q [rad], speeds v and accelerations
+    a have length n.
     """
     links = list(_links(chain, gravity, q, v, a))
     force, moment = [0.0] * 3, [0.0] * 3

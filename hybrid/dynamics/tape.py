@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from hybrid.errors import HybridError
 
@@ -123,7 +124,7 @@ class Tape:
         return self._lines_by_key[key]
 
 
-class Symbol:
+class Symbol(NDArrayOperatorsMixin):
     """A number on a tape."""
 
     def __init__(self, tape: Tape, line: int) -> None:
@@ -150,46 +151,7 @@ class Symbol:
     def __bool__(self) -> bool:
         raise HybridError("a law that is exported cannot branch; use numpy.where")
 
-    def __add__(self, other: Any) -> Any:
-        return self.tape.apply("add", self, other)
-
-    def __sub__(self, other: Any) -> Any:
-        return self.tape.apply("subtract", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self.tape.apply("subtract", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return self.tape.apply("multiply", self, other)
-
-    def __truediv__(self, other: Any) -> Any:
-        return self.tape.apply("divide", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self.tape.apply("divide", other, self)
-
-    def __pow__(self, other: Any) -> Any:
-        return self.tape.apply("power", self, other)
-
-    def __neg__(self) -> Any:
-        return self.tape.apply("negative", self)
-
-    def __abs__(self) -> Any:
-        return self.tape.apply("absolute", self)
-
-    def __lt__(self, other: Any) -> Any:
-        return self.tape.apply("less", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.tape.apply("less_equal", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.tape.apply("greater", self, other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.tape.apply("greater_equal", self, other)
-
-    __radd__, __rmul__ = __add__, __mul__
+    __eq__, __hash__ = object.__eq__, object.__hash__
 
 
 def _simplified(name: str, x: list[Any]) -> Any:

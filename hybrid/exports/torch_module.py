@@ -74,7 +74,7 @@ class ProgramModule(torch.nn.Module):
         values = self.law(*(_column(given, name) for name in self.program.inputs))
         zero = torch.zeros_like(q[:, :1])
         whole = torch.cat([zero + x for x in values], dim=1)
-        return whole.split(self.widths, dim=1)
+        return torch.split(whole, self.widths, dim=1)
 
 
 def _column(given: Mapping[str, Tensor], name: str) -> Tensor | None:

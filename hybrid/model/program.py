@@ -79,13 +79,8 @@ class Program:
     ) -> tuple[Array, Array]:
         """Compute torque, shape (N, n), [N·m], and memory, shape (N, s), of N states.
 
-        Args:
-            q: Positions, shape (N, n), [rad].
-            v: Speeds, shape (N, n), [rad/s].
-            a: Accelerations, shape (N, n), [rad/s²].
-            memory: Memory of the last call, shape (N, s); None for the first call.
-            t: Time since the start, [s].
-            step: Time since the last call, [s].
+        Inputs are those of the tape, with the memory of the last call, shape (N, s), or
+        None for the first one.
         """
         past = np.zeros((len(q), len(self.memory))) if memory is None else memory
         known = 0.0 if memory is None else 1.0

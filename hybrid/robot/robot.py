@@ -155,11 +155,9 @@ class Robot:
         return robot
 
     def _warn_of_negative(self) -> None:
-        for name, x in (
-            ("damping", self.damping),
-            ("dry friction", self.frictionloss),
-            ("rotor inertia", self.chain.armature),
-        ):
+        values = {"damping": self.damping, "dry friction": self.frictionloss}
+        values["rotor inertia"] = self.chain.armature
+        for name, x in values.items():
             for j in np.flatnonzero(x < 0).tolist():
                 warn(
                     f"{self.path or self.name}: {name} of joint {self.joints[j]!r} is "
@@ -322,9 +320,10 @@ class Robot:
 
 def _plain(values: Any) -> list[Any]:
     """Lists for JSON, with ``None`` for what is not finite."""
-    if not isinstance(values, np.ndarray) or values.dtype != float:
-        return list(np.asarray(values).tolist())
-    return list(np.where(np.isfinite(values), values.astype(object), None).tolist())
+    found = np.array(values, dtype=object)
+    if isinstance(values, np.ndarray) and values.dtype == float:
+        found[~np.isfinite(values)] = None
+    return list(found.tolist())
 
 
 def _numbers(name: str, values: Any, *, none: float | None = None) -> Array:

@@ -65,15 +65,7 @@ class Plan:
 def plan(
     robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
 ) -> Plan:
-    """Decide how a file of an arm expresses effects.
-
-    Args:
-        robot: The arm with its new links, rotors, friction and springs.
-        effects: Further effects.
-        kind: ``mjcf`` or ``urdf``.
-        motions: Motions with the speeds at which friction is fitted; by default a
-            random one within the arm's limits.
-    """
+    """Decide how a file of an arm expresses it and further effects."""
     n, mjcf = robot.size, kind == "mjcf"
     inertial, gravity = robot.chain.inertial, robot.chain.gravity
     acting = declared_effects(replace(robot, knee=np.zeros(n)))

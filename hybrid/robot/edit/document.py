@@ -198,10 +198,9 @@ def spec_of(document: Document, robot: Robot) -> Any:
 
 def joint_tag(document: Document, name: str) -> Tag:
     """Find the element of a joint."""
-    for kind in ("joint", "freejoint"):
-        for tag in document.find(kind, name=name):
-            if "worldbody" in tag.path:
-                return tag
+    for tag in document.find("joint", name=name):
+        if "worldbody" in tag.path:
+            return tag
     raise RobotError(
         f"{document.where}: joint {name!r} is not in the file; valid are joints with "
         "names, outside of replicate and attach"

@@ -63,10 +63,7 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
         _inertial(document, _body_tag(document, model, number), body)
     replaced = replaced_friction(model, old, new)
     for j in range(new.size):
-        changed = _changed_fields(old, new, j)
-        changed |= {"frictionloss"} if replaced[j] else set()
-        if changed:
-            _joint(document, model, old, new, j, changed)
+        _joint(document, model, old, new, j, bool(replaced[j]))
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
@@ -153,64 +150,47 @@ def turn_unit(document: Document, slides: bool) -> float:
     return 1.0 if slides or angle == "radian" else 180.0 / np.pi
 
 
-def _changed_fields(old: Robot, new: Robot, j: int) -> set[str]:
-    changed = {
-        name
-        for name in ("damping", "quadratic", "cubic", "frictionloss", "stiffness")
-        if getattr(new, name)[j] != getattr(old, name)[j]
-    }
-    if new.stiffness[j] and new.springref[j] != old.springref[j]:
-        changed.add("stiffness")
-    if new.chain.armature[j] != old.chain.armature[j]:
-        changed.add("armature")
-    if bool(old.knee[j]) != bool(new.knee[j]):
-        changed.add("frictionloss")
-    return changed
-
-
 def _joint(
-    document: Document, model: Any, old: Robot, new: Robot, j: int, changed: set[str]
+    document: Document, model: Any, old: Robot, new: Robot, j: int, motors: bool
 ) -> None:
-    """Change rotor, friction and spring of a joint."""
-    tag, given = joint_tag(document, new.joints[j]), {}
-    number = joint_names(model).index(new.joints[j])
+    """Change rotor, friction and spring of a joint, also if its motors are replaced."""
+    name, step, given = new.joints[j], model.opt.timestep, dict[str, Any]()
+    number = joint_names(model).index(name)
     of_drives = {
-        name: sum(
-            gear**2 * getattr(model, f"actuator_{name}")[a]
+        field: sum(
+            gear**2 * getattr(model, f"actuator_{field}")[a]
             for a, joint, gear in drives_of(model) if joint == number
         )
-        for name in ("armature", "damping")
+        for field in ("armature", "damping")
     }  # fmt: skip
-    if "armature" in changed:
+
+    def changed(*fields: str) -> bool:
+        return any(getattr(new, x)[j] != getattr(old, x)[j] for x in fields)
+
+    if new.chain.armature[j] != old.chain.armature[j]:
         given["armature"] = new.chain.armature[j] - of_drives["armature"]
-    if changed & {"damping", "quadratic", "cubic"}:
-        friction = [
-            new.damping[j] - of_drives["damping"],
-            new.quadratic[j],
-            new.cubic[j],
-        ]
+    if changed("damping", "quadratic", "cubic"):
+        linear = new.damping[j] - of_drives["damping"]
+        friction = [linear, new.quadratic[j], new.cubic[j]]
         nonlinear = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
-        given["damping"] = friction if nonlinear else friction[0]
-    if "frictionloss" in changed:
-        dry = {
-            "frictionloss": new.frictionloss[j],
-            "solreffriction": (2 * model.opt.timestep, 1.0),
-            **HARD,
-        }
-        given |= {} if new.knee[j] else dry
-        level = new.frictionloss[j] if new.knee[j] else 0.0
-        set_tendon(document, [new.joints[j]], model.opt.timestep, frictionloss=level)
-    if "stiffness" in changed:
-        given["stiffness"] = new.stiffness[j]
+        given["damping"] = friction if nonlinear else linear
+    if motors or changed("frictionloss") or bool(old.knee[j]) != bool(new.knee[j]):
+        dry, hard = new.frictionloss[j], {"solreffriction": (2 * step, 1.0), **HARD}
+        given |= {} if new.knee[j] else {"frictionloss": dry, **hard}
+        beside = dry if new.knee[j] else 0.0
+        set_tendon(document, [name], step, frictionloss=beside)
+    if changed("stiffness") or (new.stiffness[j] and changed("springref")):
         unit = turn_unit(document, not new.chain.revolute[j])
+        given["stiffness"] = new.stiffness[j]
         given["springref"] = new.springref[j] * unit
-    for name in ("armature", "damping"):
-        if np.min(given.get(name, 0.0)) < 0 and of_drives[name]:
+    for field, x in of_drives.items():
+        if np.min(given.get(field, 0.0)) < 0 and x:
             raise RobotError(
-                f"{document.where}: {name} of joint {new.joints[j]!r} is that of its "
-                f"actuator, which is more than was found; valid is {name} at the joint"
+                f"{document.where}: {field} of joint {name!r} is that of its "
+                f"actuator, which is more than was found; valid is {field} at the joint"
             )
-    document.set(tag, given)
+    if given:
+        document.set(joint_tag(document, name), given)
 
 
 def _structure(

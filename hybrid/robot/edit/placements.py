@@ -28,11 +28,6 @@ _UNMOVED = 1e-12  # m or rad; a smaller change is not written
 def write_placements(robot: Robot, chain: Chain, path: str | Path) -> None:
     """Write a copy of the robot's file with the joint placements of another chain.
 
-    Args:
-        robot: An arm that was read from a URDF or MJCF file.
-        chain: The same joints with other ``rotation`` and ``translation``.
-        path: Path of the new file.
-
     Raises:
         RobotError: The file is missing, or cannot express a joint's placement.
     """

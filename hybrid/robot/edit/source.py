@@ -51,7 +51,7 @@ def source(robot: Robot, kind: str) -> Source:
         if found.fingerprint() != robot.fingerprint():
             raise RobotError(f"{path}: is of another arm than {robot.name!r}")
         return Source(document, found, True)
-    text, notes, own = "", (), exists
+    text, notes, own = "", tuple[str, ...](), exists
     if exists and urdf:
         text = _converted(robot)
     elif exists:
