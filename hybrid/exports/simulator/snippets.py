@@ -28,6 +28,7 @@ from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
 
+_DRAWS = 400  # from the posterior
 _STEP = 0.005  # s, if the step of the simulation is not known
 _ACTUATOR = '''"""Actuators of {name} for Isaac Lab, with physics every {step!r} s."""
 
@@ -212,10 +213,10 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> tuple[str, ...
     Returns:
         What MJX on JAX does not take.
     """
-    found = ranges(model)
+    found = ranges(model, draws=_DRAWS)
     nominal = fields_of_model(model, (usual_motion(model),))
     # Isaac Lab has one dry and one viscous friction, as URDF has.
-    plain = ranges(model, kind="urdf")
+    plain = ranges(model, kind="urdf", draws=_DRAWS)
     names = "damping", "quadratic", "cubic", "frictionloss"
     values = {x: getattr(nominal, x) for x in names}
     values["armature"] = nominal.chain.armature
