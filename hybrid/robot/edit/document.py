@@ -62,7 +62,9 @@ class Document:
             at, place = x.end, len(self._pieces) - 1
             if x.closes:
                 if not opened or opened[-1].path[-1] != x.name:
-                    raise RobotError(f"{where}: not readable XML (</{x.name}> is odd)")
+                    raise RobotError(
+                        f"{where}: not readable XML (</{x.name}> closes no element)"
+                    )
                 self._ends[opened.pop()] = place
                 continue
             around = opened[-1] if opened else None
@@ -137,10 +139,10 @@ class Document:
 
     def replace(self, tag: Tag, text: str) -> None:
         """Replace an element with its content."""
-        for place in range(tag.place, self._ends[tag] + 1):
+        self._pieces[tag.place] = text
+        for place in range(tag.place + 1, self._ends[tag] + 1):
             self._pieces[place] = ""
             self._inserted.pop(place, "")
-        self._pieces[tag.place] = text
 
     def insert_before(self, tag: Tag, text: str) -> None:
         """Insert text before an element."""
