@@ -15,7 +15,7 @@ from pathlib import Path
 
 from hybrid.errors import RobotError
 from hybrid.names import printable
-from hybrid.robot.markup import markup, read_markup
+from hybrid.robot.edit.markup import markup, read_markup
 
 # MuJoCo's time grows with the square of the elements: this number takes seconds. The
 # largest robot file of a usual collection, of a humanoid on wheels, has 3,895 elements.

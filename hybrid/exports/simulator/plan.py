@@ -96,14 +96,12 @@ def plan(
     ripple = np.array(rows).reshape(-1, 4)
     arm = replace(robot, chain=chain, ripple=ripple, coupled=coupled)
     new = _with_fields(arm, values, fitted)
+    error = [*_friction_error(friction, values, fitted, n), *_ripple_error(ripples)]
     return Plan(
         change=Edit(new, drive_changes(motors), [e.edit_spec for e in shaped]),
         friction=fitted,
         missing=(*(e for e in rest if e not in known and e not in shaped), *below),
-        corrections=(
-            *_friction_error(friction, values, fitted, n),
-            *_ripple_error(ripples),
-        ),
+        corrections=tuple(error),
     )
 
 

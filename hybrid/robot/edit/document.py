@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from hybrid.errors import RobotError
-from hybrid.robot.markup import markup, read_markup
+from hybrid.robot.edit.markup import markup, read_markup
 from hybrid.robot.mujoco_model import compile_spec
 from hybrid.robot.robot import Robot
 

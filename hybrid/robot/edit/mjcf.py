@@ -177,8 +177,7 @@ def _joint(
     if motors or changed("frictionloss") or bool(old.knee[j]) != bool(new.knee[j]):
         dry, hard = new.frictionloss[j], {"solreffriction": (2 * step, 1.0), **HARD}
         given |= {} if new.knee[j] else {"frictionloss": dry, **hard}
-        beside = dry if new.knee[j] else 0.0
-        set_tendon(document, [name], step, frictionloss=beside)
+        set_tendon(document, [name], step, frictionloss=dry if new.knee[j] else 0.0)
     if changed("stiffness") or (new.stiffness[j] and changed("springref")):
         unit = turn_unit(document, not new.chain.revolute[j])
         given["stiffness"] = new.stiffness[j]
