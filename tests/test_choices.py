@@ -195,7 +195,7 @@ def test_each_torque_has_places_for_what_moves_it_and_for_the_load():
 def test_copies_are_of_what_is_inside_and_of_nothing_after(tmp_path, inside, elements):
     file = tmp_path / "arm.xml"
     file.write_text(f"<mujoco>{inside}</mujoco>")
-    assert _demand(file, tmp_path, []).elements == 1 + elements
+    assert _demand(file).elements == 1 + elements
 
 
 @pytest.mark.parametrize("x", [True, "1", None, [1]])

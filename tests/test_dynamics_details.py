@@ -10,8 +10,8 @@ from hybrid.dynamics import (
     inverse_dynamics,
     regressor,
     regressor_gradient,
+    torque_gradient,
 )
-from hybrid.dynamics.adjoint import torque_gradient
 from hybrid.dynamics.base import inertial_labels
 from hybrid.dynamics.stacked import (
     effect_gains,

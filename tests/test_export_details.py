@@ -361,7 +361,7 @@ def test_a_manifest_names_cutoff_effects_files_and_what_is_left_out(tmp_path):
     warm = ThermalFriction((0,), {"cold": 3.0, "time_constant": 5.0})
     model = model_of(robot, [warm, gap], cutoff=12.5)
     left_out = export(model, tmp_path, format="c")
-    content = read_manifest(tmp_path, robot=robot, model=model)
+    content = read_manifest(tmp_path)
     assert content["cutoff"] == 12.5
     assert [e["effect"] for e in content["effects"]] == ["thermal_friction", "backlash"]
     assert content["left_out"] == list(left_out) != []

@@ -16,14 +16,11 @@ from hybrid.dynamics.tape import Tape
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.delay import Delay
 from hybrid.effects.spring import Spring
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
-from hybrid.exports.onnx_graph import onnx_model
-from hybrid.exports.program import Program, program_from_model
 from hybrid.exports.simulator import model as simulator_model
 from hybrid.exports.simulator.check import file_torque, gaps
 from hybrid.exports.simulator.friction import (
@@ -41,7 +38,7 @@ from hybrid.exports.simulator.model import (
 from hybrid.exports.simulator.plan import plan
 from hybrid.exports.simulator.ranges import Ranges, ranges
 from hybrid.exports.simulator.snippets import isaac_events, isaac_lab, mjx, mjx_notes
-from hybrid.model.effect_torque import effect_torque
+from hybrid.model.program import Program, program_from_model
 
 
 def operations() -> Program:
@@ -61,6 +58,7 @@ def operations() -> Program:
 def test_every_operation_is_that_of_numbers_in_python_torch_and_onnx():
     torch = pytest.importorskip("torch")
     onnxruntime = pytest.importorskip("onnxruntime")
+    from hybrid.exports.onnx_graph import onnx_model
     from hybrid.exports.torch_module import ProgramModule
 
     program, rng = operations(), np.random.default_rng(0)
@@ -390,11 +388,3 @@ def test_friction_is_written_for_the_speeds_of_the_motions_that_are_given(monkey
     assert given[0] is logs
     (usual,) = given[1]
     np.testing.assert_array_equal(usual.v, usual_motion(model).v)
-
-
-def test_without_laws_of_one_instant_nothing_is_compiled():
-    chain, turn = pendulum(2).chain, Viscous((0,), {"coefficient": 0.6})
-    assert effect_torque(chain, []).law is None
-    late = Delay((0,), {"time": 0.01})
-    assert effect_torque(chain, [late]).law is None
-    assert effect_torque(chain, [late, turn]).law is not None

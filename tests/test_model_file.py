@@ -296,7 +296,7 @@ def test_a_robot_without_sense_is_refused():
 
 
 def test_an_array_of_one_number_comes_back():
-    text = model_file._packed({"x": np.array(1.5)})["x"]
+    text = model_file._packed(np.array(1.5))
     assert model_file._unpacked("x", text) == np.array(1.5)
 
 

@@ -85,7 +85,7 @@ def exported(found: DynamicModel, kind: str):
         everything = [p.relative_to(outer) for p in Path(outer).rglob("*")]
         assert all(p.is_relative_to("deep") for p in everything)
         assert all(p.is_relative_to("deep/out") for p in everything if p.suffix)
-        assert read_manifest(out, robot=found.robot)["robot"] == found.robot.name
+        assert read_manifest(out)["robot"] == found.robot.name
         for path in sorted(out.iterdir()):
             assert re.fullmatch(r"[\w.-]+", path.name)
             assert len(path.name.encode()) < 255

@@ -8,8 +8,7 @@ from arms import MODELS, random_arm, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybrid.dynamics import inverse_dynamics, regressor
-from hybrid.dynamics.sample import SampleRegressor
+from hybrid.dynamics import inverse_dynamics, regressor, regressor_law
 from hybrid.effects import effects_from_text
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
@@ -83,10 +82,11 @@ def after_thirty_seconds():
 def test_the_regressor_of_one_sample_is_that_of_many():
     for seed in range(6):
         robot = random_arm(seed)
-        states = random_states(robot.size, 5, seed)
-        many, one = regressor(robot.chain, *states), SampleRegressor(robot)
-        for k in range(5):
-            found = one(*(x[k] for x in states))
+        states = random_states(robot.size, 20, seed)
+        many = regressor(robot.chain, *states)
+        one = regressor_law(robot.chain, tuple(range(many[0].size)))
+        for k in range(20):
+            found = one.at(np.concatenate([x[k] for x in states]).tolist())
             np.testing.assert_allclose(found, many[k].ravel(), rtol=1e-9, atol=1e-9)
 
 

@@ -217,7 +217,7 @@ def test_robots_are_far_below_the_limits():
     paths = sorted(MODELS.glob("*.xml"))
     assert paths
     for path in paths:
-        found = _demand(path, path.parent, [])
+        found = _demand(path)
         check_demand(path)
         assert 0 < 50 * found.elements < _MOST["elements"]
         assert 50 * found.numbers < _MOST["numbers"]

@@ -11,6 +11,7 @@ from hybrid.errors import RobotError
 from hybrid.exports import build_simulator
 from hybrid.robot import Robot
 from hybrid.robot.edit import source
+from hybrid.robot.edit.document import Document
 
 LINK = """<link name="{0}"><inertial><origin xyz=".1 0 0"/><mass value="2"/><inertia
   ixx=".01" ixy="0" ixz="0" iyy=".02" iyz="0" izz=".02"/></inertial></link>"""
@@ -71,3 +72,24 @@ def test_what_mujoco_reads_as_another_arm_is_not_converted(monkeypatch):
     assert source._converted(robot)
     monkeypatch.setattr(source, "read", refused)
     assert source._converted(robot) == ""
+
+
+def test_only_what_is_edited_differs_in_a_file():
+    text = b"<?xml version='1.0'?>\n<a k = '1'>\xff<!-- <b> -- -->"
+    text += b'\n  <b x="1"/>\n</a >\n'
+    document = Document(text, "here")
+    (b,) = document.find("a", "b")
+    assert document.edited() == text and b.parent is document.root
+    document.set(document.root, {"k": 2})
+    document.insert_child(b, "<c/>")
+    document.insert_after(b, "<d/>")
+    document.append(document.root, "<e/>")
+    edited = text.replace(b"'1'", b'"2"').replace(b"\n</a", b"\n  <d/>\n<e/></a")
+    edited = edited.replace(b'<b x="1"/>', b'<b x="1"><c/></b>')
+    assert document.edited() == edited
+
+
+@pytest.mark.parametrize("text", [b"<a><b></a>", b"<a>", b"</a>", b"", b"<a><b"])
+def test_a_file_with_open_elements_is_not_edited(text):
+    with pytest.raises(RobotError, match="here: not readable XML|here: not a readable"):
+        Document(text, "here")

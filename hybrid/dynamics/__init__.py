@@ -1,10 +1,15 @@
 """Batched rigid-body dynamics."""
 
-from hybrid.dynamics.adjoint import regressor_gradient, torque_gradient
 from hybrid.dynamics.base import BaseParameters, base_parameters, inertial_labels
 from hybrid.dynamics.body import RigidBody
 from hybrid.dynamics.law import Law
-from hybrid.dynamics.regressor import inverse_dynamics, regressor
+from hybrid.dynamics.regressor import (
+    inverse_dynamics,
+    regressor,
+    regressor_gradient,
+    regressor_law,
+    torque_gradient,
+)
 from hybrid.dynamics.stacked import (
     effect_gains,
     rich_motion,
@@ -24,6 +29,7 @@ __all__ = [
     "inverse_dynamics",
     "regressor",
     "regressor_gradient",
+    "regressor_law",
     "rich_motion",
     "stacked_base",
     "stacked_columns",

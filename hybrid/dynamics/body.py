@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from itertools import islice
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.dynamics.kinematics import link_motions
+from hybrid.dynamics.kinematics import frames
 from hybrid.dynamics.regressor import inverse_dynamics, regressor
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
@@ -32,7 +31,6 @@ class RigidBody:
         self.motion = motion
         self.inertial = chain.inertial if inertial is None else inertial
         self._known_slopes: dict[int, tuple[Array, Array, Array]] = {}
-        self._known_wrenches: dict[int, Array] = {}
 
     @cached_property
     def load(self) -> Array:
@@ -51,12 +49,7 @@ class RigidBody:
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m].
 
-        It is linear in the change.
-
-        Args:
-            dq: Change of position, shape (N, n), [rad].
-            dv: Change of speed, shape (N, n), [rad/s].
-            da: Change of acceleration, shape (N, n), [rad/s²].
+        It is linear in the changes of position, speed and acceleration, (N, n) each.
         """
         total = np.zeros_like(self.motion.q)
         for j in range(self.chain.size):
@@ -90,14 +83,7 @@ class RigidBody:
         return self.chain.gravity
 
     def weight(self, gravity: Array) -> Array:
-        """Torque that holds the links at rest in a uniform gravity.
-
-        Args:
-            gravity: Acceleration in the base frame, shape (3,), [m/s²].
-
-        Returns:
-            Torque, shape (N, n), [N·m].
-        """
+        """Torque that holds the links at rest in a gravity, shape (N, n), [N·m]."""
         rest = np.zeros_like(self.motion.q)
         chain = replace(self.chain, gravity=gravity)
         return inverse_dynamics(chain, self.inertial, self.motion.q, rest, rest)
@@ -109,20 +95,19 @@ class RigidBody:
             Torque, shape (N, n, 6), per force [N] and moment [N·m] along the axes of
             the base frame, about the origin of the link's frame.
         """
-        if link in self._known_wrenches:
-            return self._known_wrenches[link]
-        q = np.ascontiguousarray(self.motion.q.T)
-        rest, columns = np.zeros_like(q), np.zeros((*q.shape, 6))
-        for k, direction in enumerate(np.eye(3)):
-            # A link at rest in gravity −direction has the acceleration +direction.
-            chain = replace(self.chain, gravity=-direction)
-            at = next(islice(link_motions(chain, q, rest, rest), link, None))
-            columns[: link + 1, :, k] = np.einsum("cjn,cn->jn", at.linear, at.accel)
-            columns[: link + 1, :, 3 + k] = np.einsum(
-                "cjn,cn->jn", at.angular, at.accel
-            )
-        self._known_wrenches[link] = columns.transpose(1, 0, 2)
-        return self._known_wrenches[link]
+        _, origins, axes = self._frames
+        columns = np.zeros((*self.motion.q.shape, 6))
+        for j in range(link + 1):
+            if self.chain.revolute[j]:
+                columns[:, j, :3] = np.cross(axes[j], origins[link] - origins[j])
+                columns[:, j, 3:] = axes[j]
+            else:
+                columns[:, j, :3] = axes[j]
+        return columns
+
+    @cached_property
+    def _frames(self) -> tuple[Array, Array, Array]:
+        return frames(self.chain, self.motion.q)
 
     def _torque(self, q: Array, v: Array, a: Array) -> Array:
         return inverse_dynamics(self.chain, self.inertial, q, v, a)

@@ -57,22 +57,27 @@ class Law:
         return found
 
     def along(self, signals: Sequence[Array], constants: Sequence[float] = ()) -> Array:
-        """Results at N instants, shape (N, results).
+        """Results at N instants, shape (N, results); see :meth:`rows`."""
+        return np.ascontiguousarray(self.rows(signals, constants).T)
+
+    def rows(self, signals: Sequence[Array], constants: Sequence[float] = ()) -> Array:
+        """Results at N instants, shape (results, N).
 
         Args:
             signals: Values of the first inputs, arrays of shape (N, any number).
             constants: Values of the other inputs.
         """
         samples = len(signals[0])
-        if 0 < samples <= _FEW_SAMPLES:
-            rows = np.concatenate(signals, axis=1).tolist()
-            return np.array([self.at([*row, *constants]) for row in rows])
-        out = np.empty((samples, len(self.results)))
+        out = np.empty((len(self.results), samples))
+        if samples <= _FEW_SAMPLES:
+            for k, row in enumerate(np.concatenate(signals, axis=1).tolist()):
+                out[:, k] = self.at([*row, *constants])
+            return out
         for start in range(0, samples, _CHUNK):
             part = slice(start, start + _CHUNK)
             columns = np.concatenate([x[part].T for x in signals]).astype(float)
             for k, x in enumerate(self._arrays(*columns, *constants)):
-                out[part, k] = x
+                out[k, part] = x
         return out
 
     def by(self, operations: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
@@ -98,56 +103,35 @@ class Law:
         self, templates: Mapping[str, str], names: Mapping[str, Any]
     ) -> Callable[..., Any]:
         """Compile; the text has only operations and numbers, and no name of a file."""
-        given = ", ".join(f"i{k}" for k in range(len(self.inputs)))
+        found = {x.arguments[0]: k for k, x in enumerate(self.tape.lines)
+                 if x.name == "input"}  # fmt: skip
+        given = (f"x{found.get(x, f'_unused_{k}')}" for k, x in enumerate(self.inputs))
         lines = "".join(f"    {line}\n" for line in self._lines(templates))
         space: dict[str, Any] = {**names, **_SPECIAL}
-        exec(f"def law({given}):\n{lines}", space)
+        exec(f"def law({', '.join(given)}):\n{lines}", space)
         function: Callable[..., Any] = space["law"]
         return function
 
     def _lines(self, templates: Mapping[str, str]) -> Iterator[str]:
-        """Assignments; a variable is reused as soon as its value is not needed."""
+        """Assignments; a value is deleted as soon as it is not needed."""
         tape, needed = self.tape, self.tape.needed(self.results)
-        last: dict[int, int] = {}
+        last = {x: line for line in needed for x in _lines_of(tape, line)}
+        kept = {x.line for x in self.results if isinstance(x, Symbol)}
+        pairs = self._pairs if templates is _ARRAY_TEMPLATES else {}
         for line in needed:
-            last |= dict.fromkeys(_lines_of(tape, line), line)
-        last |= dict.fromkeys(
-            (x.line for x in self.results if isinstance(x, Symbol)), len(tape.lines)
-        )
-        variable = {
-            line: f"i{self.inputs.index(str(operation.arguments[0]))}"
-            for line, operation in enumerate(tape.lines)
-            if operation.name == "input" and line in last
-        }
-        free: list[str] = []
-        count = 0
-        for line in needed:
-            operation = tape.lines[line]
-            if operation.name == "input":
-                continue
-            if line in variable:  # computed together with its sine or cosine
-                continue
-            given = [
-                variable[x] if isinstance(x, int) else f"({x!r})"
-                for x in operation.arguments
-            ]
-            finished = [x for x in set(_lines_of(tape, line)) if last[x] == line]
-            free += [variable[x] for x in finished if variable[x].startswith("x")]
-            pair = self._pairs.get(line, ()) if templates is _ARRAY_TEMPLATES else ()
-            for x in pair or (line,):
-                if not free:
-                    free.append(f"x{count}")
-                    count += 1
-                variable[x] = free.pop()
-            if pair:
-                both = ", ".join(variable[x] for x in pair)
-                yield f"{both} = sine_cosine({given[0]})"
-                continue
-            plain = f"{operation.name}({', '.join(['{}'] * len(given))})"
-            text = templates.get(operation.name, plain).format(*given)
-            yield f"{variable[line]} = {text}"
+            name, arguments = tape.lines[line].name, tape.lines[line].arguments
+            given = [f"x{x}" if isinstance(x, int) else f"({x!r})" for x in arguments]
+            if line in pairs and line == min(pairs[line]):
+                sine, cosine = pairs[line]
+                yield f"x{sine}, x{cosine} = sine_cosine({given[0]})"
+            elif line not in pairs and name != "input":
+                call = f"{name}({', '.join(['{}'] * len(given))})"
+                yield f"x{line} = {templates.get(name, call).format(*given)}"
+            for x in set(_lines_of(tape, line)) - kept:
+                if last[x] == line:
+                    yield f"del x{x}"
         results = (
-            variable[x.line] if isinstance(x, Symbol) else repr(float(x))
+            f"x{x.line}" if isinstance(x, Symbol) else repr(float(x))
             for x in self.results
         )
         yield f"return [{', '.join(results)}]"

@@ -6,19 +6,28 @@ frame origin as in Atkeson et al. 1986, doi 10.1177/027836498600500306.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hybrid.dynamics.kinematics import rotation_terms, without_rounding
-from hybrid.dynamics.law import Law
-from hybrid.dynamics.tape import Tape
-from hybrid.robot.chain import INERTIAL_NAMES, Chain
+from hybrid.arrays import Array
+from hybrid.robot.chain import Chain
+from hybrid.robot.spatial import skew
 
 Vector = list[Any]
-_MOST_ARMS = 64  # in the cache of laws
+_ROUNDING = 1e-15  # entry of a rotation that counts as zero
+
+
+class _Link(NamedTuple):
+    """Placement of a frame in its parent, and the link's motion in its own frame."""
+
+    turn: list[Vector]
+    arm: Vector
+    axis: Vector
+    omega: Vector
+    alpha: Vector
+    accel: Vector  # of the frame origin less gravity
 
 
 def newton_euler(
@@ -32,16 +41,57 @@ def newton_euler(
 ) -> list[Any]:
     """Rigid-body joint torque, length n, [N·m].
 
-    Args:
-        chain: The arm; only its kinematics are used.
-        inertial: Ten parameters of each link, length n.
-        gravity: Acceleration of gravity in the base frame, length 3, [m/s²].
-        q: Position of each joint, length n, [rad].
-        v: Speed of each joint, length n, [rad/s].
-        a: Acceleration of each joint, length n, [rad/s²].
+    Of the chain only the kinematics are used. Each link has ten inertial parameters;
+    gravity is in the base frame, [m/s²]. Positions q [rad], speeds v and accelerations
+    a have length n.
     """
+    links = list(_links(chain, gravity, q, v, a))
+    force, moment = [0.0] * 3, [0.0] * 3
+    torque: list[Any] = []
+    for k in reversed(range(chain.size)):
+        link = links[k]
+        own_force, own_moment = _wrench(inertial[k], link)
+        force, moment = _add(force, own_force), _add(moment, own_moment)
+        torque.append(_dot(link.axis, moment if chain.revolute[k] else force))
+        force = _turned(link.turn, force)
+        moment = _add(_turned(link.turn, moment), _cross(link.arm, force))
+    return torque[::-1]
+
+
+def unit_torques(
+    chain: Chain, *, q: Sequence[Any], v: Sequence[Any], a: Sequence[Any]
+) -> list[list[Any]]:
+    """Torque of each joint per unit of each inertial parameter, n lists of 10n.
+
+    The arguments are those of :func:`newton_euler`.
+    """
+    rows: list[list[Any]] = [[] for _ in range(chain.size)]
+    screws: list[tuple[Vector, Vector]] = []  # turn and shift of the link by each joint
+    for k, link in enumerate(_links(chain, chain.gravity.tolist(), q, v, a)):
+        screws = [
+            (_turned_back(link.turn, u), _turned_back(link.turn, _add(s, w)))
+            for u, s in screws
+            for w in [_cross(u, link.arm)]
+        ]
+        still = [0.0] * 3
+        screws.append((link.axis, still) if chain.revolute[k] else (still, link.axis))
+        wrenches = [_wrench(unit, link) for unit in np.eye(10).tolist()]
+        for row, (u, s) in zip(rows, screws, strict=False):
+            row += [_dot(s, force) + _dot(u, moment) for force, moment in wrenches]
+        for row in rows[k + 1 :]:
+            row += [0.0] * 10
+    return rows
+
+
+def _links(
+    chain: Chain,
+    gravity: Sequence[Any],
+    q: Sequence[Any],
+    v: Sequence[Any],
+    a: Sequence[Any],
+) -> Iterator[_Link]:
+    """Links, base to tip."""
     omega, alpha, accel = [0.0] * 3, [0.0] * 3, [-g for g in gravity]
-    frames, wrenches = [], []
     for k in range(chain.size):
         turn, arm = _placement(chain, k, q[k])
         axis = [float(x) for x in chain.axis[k]]
@@ -53,78 +103,39 @@ def newton_euler(
             omega = _add(omega, _times(axis, v[k]))
         else:
             accel = _add(accel, _times(spin, 2.0 * v[k]), _times(axis, a[k]))
-        frames.append((turn, arm, axis))
-        wrenches.append(_wrench(inertial[k], omega, alpha, accel))
-    force, moment = [0.0] * 3, [0.0] * 3
-    torque: list[Any] = []
-    for k in reversed(range(chain.size)):
-        turn, arm, axis = frames[k]
-        force, moment = _add(force, wrenches[k][0]), _add(moment, wrenches[k][1])
-        torque.append(_dot(axis, moment if chain.revolute[k] else force))
-        force = _turned(turn, force)
-        moment = _add(_turned(turn, moment), _cross(arm, force))
-    return torque[::-1]
-
-
-def rigid_law(chain: Chain) -> Law:
-    """Torque of an arm's joints as a compiled function; cached.
-
-    Its inputs are positions, speeds and accelerations, then ten parameters of each
-    link, then gravity.
-    """
-    return _compiled(_Kinematics(chain))
-
-
-class _Kinematics:
-    """The constants of a chain's kinematics, as a key of the cache."""
-
-    def __init__(self, chain: Chain) -> None:
-        self.chain = chain
-        arrays = (chain.rotation, chain.translation, chain.axis, chain.revolute)
-        self.content = b"".join(x.tobytes() for x in arrays)
-
-    def __hash__(self) -> int:
-        return hash(self.content)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Kinematics) and self.content == other.content
-
-
-@lru_cache(maxsize=_MOST_ARMS)
-def _compiled(arm: _Kinematics) -> Law:
-    tape, n = Tape(), arm.chain.size
-    names = [f"{x}[{j}]" for x in "qva" for j in range(n)]
-    names += [f"{x}_{k + 1}" for k in range(n) for x in INERTIAL_NAMES]
-    names += [f"gravity[{c}]" for c in range(3)]
-    given = [tape.input(name) for name in names]
-    q, v, a = (given[k * n : k * n + n] for k in range(3))
-    links = [given[3 * n + 10 * k : 3 * n + 10 * k + 10] for k in range(n)]
-    torque = newton_euler(arm.chain, links, given[-3:], q=q, v=v, a=a)
-    return Law(tape, tuple(torque), tuple(names))
+        yield _Link(turn, arm, axis, omega, alpha, accel)
 
 
 def _placement(chain: Chain, k: int, q: Any) -> tuple[list[Vector], Vector]:
     """Rotation and offset of frame k in its parent."""
-    offset = chain.translation[k]
-    constant, sine, cosine = (x.tolist() for x in rotation_terms(chain, k))
+    fixed, offset = chain.rotation[k], chain.translation[k].tolist()
     if not chain.revolute[k]:
-        direction = without_rounding(chain.rotation[k] @ chain.axis[k]).tolist()
-        return constant, [o + d * q for o, d in zip(offset, direction, strict=True)]
+        direction = _without_rounding(fixed @ chain.axis[k])
+        moved = [o + d * q for o, d in zip(offset, direction, strict=True)]
+        return _without_rounding(fixed), moved
+    cross = skew(chain.axis[k])
+    terms = fixed @ (np.eye(3) + cross @ cross), fixed @ cross, fixed @ (-cross @ cross)
+    constant, sine, cosine = map(_without_rounding, terms)
     sin_q, cos_q = np.sin(q), np.cos(q)
     turn = [
         [constant[r][c] + sine[r][c] * sin_q + cosine[r][c] * cos_q for c in range(3)]
         for r in range(3)
     ]
-    return turn, [float(x) for x in offset]
+    return turn, offset
 
 
-def _wrench(
-    inertial: Sequence[Any], omega: Vector, alpha: Vector, accel: Vector
-) -> tuple[Vector, Vector]:
+def _without_rounding(x: Array) -> list[Any]:
+    """Numbers in which rounding errors of the file's angles are zero."""
+    found: list[Any] = np.where(np.abs(x) < _ROUNDING, 0.0, x).tolist()
+    return found
+
+
+def _wrench(inertial: Sequence[Any], link: _Link) -> tuple[Vector, Vector]:
     """Force and moment about the frame origin that accelerate a link."""
     m, *rest = inertial
     mc, (xx, xy, yy, xz, yz, zz) = rest[:3], rest[3:]
     inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    omega, alpha, accel = link.omega, link.alpha, link.accel
     force = _add(_times(accel, m), _cross(alpha, mc), _cross(omega, _cross(omega, mc)))
     moment = _add(
         _turned(inertia, alpha),

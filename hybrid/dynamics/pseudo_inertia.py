@@ -89,14 +89,7 @@ def unstacked(x: Array) -> Array:
 
 
 def inertial_per_stacked(root: Array) -> Array:
-    """Derivative of the ten parameters by a stacked X, where J = root·X·rootᵀ.
-
-    Args:
-        root: Shape (4, 4).
-
-    Returns:
-        Shape (10, 10).
-    """
+    """Derivative of ten parameters by a stacked X, J = root·X·rootᵀ, shape (10, 10)."""
     return inertial_from_pseudo(root @ unstacked(np.eye(10)) @ root.T).T
 
 

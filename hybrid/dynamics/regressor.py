@@ -1,20 +1,44 @@
-"""Batched inverse dynamics and its regressor: tau = Y(q, v, a) · pi.
+"""Batched inverse dynamics, its regressor tau = Y(q, v, a) · pi, and their gradients.
 
-Source: Atkeson, An and Hollerbach 1986, doi 10.1177/027836498600500306.
+The recursive Newton–Euler algorithm runs once for each arm, on symbols. The operations
+that it records are compiled to functions of arrays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.dynamics.kinematics import LinkMotion, link_motions
-from hybrid.dynamics.newton_euler import rigid_law
+from hybrid.dynamics.law import Law
+from hybrid.dynamics.newton_euler import newton_euler, unit_torques
+from hybrid.dynamics.tape import Symbol, Tape
 from hybrid.robot.chain import Chain
 
-_CHUNK = 4096  # samples at a time, whose intermediate arrays stay in the cache
+_MOST_ARMS = 64  # in each cache
+
+
+def inverse_dynamics(
+    chain: Chain, inertial: Array, q: Array, v: Array, a: Array
+) -> Array:
+    """Rigid-body joint torque, without rotor inertia.
+
+    Args:
+        chain: The arm.
+        inertial: Link parameters, shape (n, 10).
+        q: Positions, shape (N, n), [rad].
+        v: Speeds, shape (N, n), [rad/s].
+        a: Accelerations, shape (N, n), [rad/s²].
+
+    Returns:
+        Torque, shape (N, n), [N·m].
+    """
+    constants = [*inertial.ravel().tolist(), *chain.gravity.tolist()]
+    return _torque_law(_Arm(chain)).along((q, v, a), constants)
 
 
 def regressor(
@@ -33,72 +57,107 @@ def regressor(
         Y, shape (N, n, c), link by link in the order of ``INERTIAL_NAMES``, or in that
         of ``which``. It is a view of an array of shape (n, c, N).
     """
-    samples, n = q.shape
-    wanted: list[list[tuple[int, int]]] = [[] for _ in range(n)]
-    for row, column in enumerate(range(10 * n) if which is None else which):
-        wanted[column // 10].append((row, column % 10))
-    Y = np.zeros((n, sum(map(len, wanted)), samples))
-    for start in range(0, samples, _CHUNK):
-        part = slice(start, min(start + _CHUNK, samples))
-        states = (np.ascontiguousarray(x[part].T) for x in (q, v, a))
-        for k, link in enumerate(link_motions(chain, *states)):
-            terms = _link_terms(link)
-            for row, parameter in wanted[k]:
-                _sum(Y[: k + 1, row, part], *terms[parameter])
-    return Y.transpose(2, 0, 1)
+    n = chain.size
+    columns = np.arange(10 * n) if which is None else np.array(which, dtype=int)
+    entries = (10 * n * np.arange(n)[:, None] + columns).ravel()
+    rows = regressor_law(chain, tuple(entries.tolist())).rows((q, v, a))
+    return rows.reshape(n, len(columns), len(q)).transpose(2, 0, 1)
 
 
-def inverse_dynamics(
-    chain: Chain, inertial: Array, q: Array, v: Array, a: Array
-) -> Array:
-    """Rigid-body joint torque, without rotor inertia.
+def regressor_law(chain: Chain, entries: tuple[int, ...]) -> Law:
+    """Entries of the flattened (n, 10n) regressor; inputs are q, v and a; cached."""
+    return _regressor_law(_Arm(chain, gravity=True), entries)
 
-    Args:
-        chain: The arm.
-        inertial: Link parameters, shape (n, 10).
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
+
+def regressor_gradient(
+    chain: Chain, q: Array, v: Array, a: Array, weight: Array
+) -> tuple[Array, Array, Array]:
+    """Derivatives of ``sum(weight * regressor(chain, q, v, a))`` by the motion.
+
+    The weights have shape (N, n, 10n); those of joints beyond a link have no effect.
 
     Returns:
-        Torque, shape (N, n), [N·m].
+        Derivatives by q, v and a, each of shape (N, n).
     """
-    law = rigid_law(chain)
-    constants = [*inertial.ravel().tolist(), *chain.gravity.tolist()]
-    return law.along((q, v, a), constants)
+    law, entries = _gradient_law(_Arm(chain, gravity=True))
+    weights = weight.reshape(len(q), 10 * chain.size**2)[:, entries]
+    found = law.along((q, v, a, weights))
+    by_q, by_v, by_a = np.split(found, 3, axis=1)
+    return by_q, by_v, by_a
 
 
-def _link_terms(link: LinkMotion) -> tuple[tuple[tuple[Array, Array], ...], ...]:
-    """The ten columns of one link for the joints that move it, as sums of products.
+def torque_gradient(
+    chain: Chain, q: Array, v: Array, a: Array, inertial: Array, joint: NDArray[np.intp]
+) -> tuple[Array, Array, Array]:
+    """Derivatives of one joint's rigid-body torque in each sample by the motion.
 
-    The row of a joint with the screw s = (linear, angular) is s · (force, moment) per
-    unit of each parameter. Here it is a dot product with coefficients that depend on
-    the link's motion only, shapes (k+1, N) and (N,).
+    The link parameters have shape (n, 10), the joint's index in each sample (N,).
+
+    Returns:
+        Derivatives by q, v and a, each of shape (N, n).
     """
-    (wx, wy, wz), (bx, by, bz), (ax, ay, az) = link.omega, link.alpha, link.accel
-    xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
-    lx, ly, lz = link.linear
-    ux, uy, uz = link.angular
-    return (
-        ((lx, ax), (ly, ay), (lz, az)),
-        # First moments: (skew(α) + skew(ω)²)ᵀ l + a × u.
-        ((lx, -yy - zz), (ly, xy + bz), (lz, xz - by), (uz, ay), (uy, -az)),
-        ((lx, xy - bz), (ly, -xx - zz), (lz, yz + bx), (ux, az), (uz, -ax)),
-        ((lx, xz + by), (ly, yz - bx), (lz, -xx - yy), (uy, ax), (ux, -ay)),
-        # Inertia: u · (I α) + (u × ω) · (I ω), for each independent entry of I.
-        ((ux, bx), (uy, xz), (uz, -xy)),
-        ((ux, by - xz), (uy, bx + yz), (uz, xx - yy)),
-        ((ux, -yz), (uy, by), (uz, xy)),
-        ((ux, bz + xy), (uy, zz - xx), (uz, bx - yz)),
-        ((ux, yy - zz), (uy, bz - xy), (uz, by + xz)),
-        ((ux, yz), (uy, -xz), (uz, bz)),
-    )
+    weight = np.zeros((*q.shape, inertial.size))
+    weight[np.arange(len(q)), joint] = inertial.ravel()
+    return regressor_gradient(chain, q, v, a, weight)
 
 
-def _sum(out: Array, *terms: tuple[Array, Array]) -> None:
-    """Sum of products into ``out``, shape (k+1, N)."""
-    (x, y), *rest = terms
-    total = x * y
-    for x, y in rest:
-        total += x * y
-    out[...] = total
+class _Arm:
+    """A chain as a key of caches, equal for equal kinematics, and gravity if asked."""
+
+    def __init__(self, chain: Chain, *, gravity: bool = False) -> None:
+        self.chain = chain
+        arrays = [chain.rotation, chain.translation, chain.axis, chain.revolute]
+        arrays += [chain.gravity] if gravity else []
+        self.content = b"".join(x.tobytes() for x in arrays)
+
+    def __hash__(self) -> int:
+        return hash(self.content)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Arm) and self.content == other.content
+
+
+@lru_cache(maxsize=_MOST_ARMS)
+def _torque_law(arm: _Arm) -> Law:
+    """Torque from q, v and a, then ten parameters of each link, then gravity."""
+    tape, n = Tape(), arm.chain.size
+    names, (q, v, a) = _motion(tape, n)
+    links = [[tape.input(f"link[{k}, {i}]") for i in range(10)] for k in range(n)]
+    gravity = [tape.input(f"gravity[{c}]") for c in range(3)]
+    names += [f"link[{k}, {i}]" for k in range(n) for i in range(10)]
+    names += [f"gravity[{c}]" for c in range(3)]
+    torque = newton_euler(arm.chain, links, gravity, q=q, v=v, a=a)
+    return Law(tape, tuple(torque), tuple(names))
+
+
+@lru_cache(maxsize=_MOST_ARMS)
+def _regressor_tape(arm: _Arm) -> tuple[Tape, list[str], list[Any]]:
+    """Tape, names of its inputs, and the n · 10n entries of the regressor."""
+    tape = Tape()
+    names, (q, v, a) = _motion(tape, arm.chain.size)
+    rows = unit_torques(arm.chain, q=q, v=v, a=a)
+    return tape, names, [x for row in rows for x in row]
+
+
+@lru_cache(maxsize=_MOST_ARMS)
+def _regressor_law(arm: _Arm, entries: tuple[int, ...]) -> Law:
+    tape, names, every = _regressor_tape(arm)
+    return Law(tape, tuple(every[k] for k in entries), tuple(names))
+
+
+@lru_cache(maxsize=_MOST_ARMS)
+def _gradient_law(arm: _Arm) -> tuple[Law, list[int]]:
+    """Gradient from q, v, a and weights of some entries, and these entries."""
+    tape, names, every = _regressor_tape(arm)
+    entries = [k for k, x in enumerate(every) if isinstance(x, Symbol)]
+    weights = [f"weight[{k}]" for k in entries]
+    seeds, motion = map(tape.input, weights), map(tape.input, names)
+    found = tape.gradient([every[k] for k in entries], list(seeds), list(motion))
+    return Law(tape, tuple(found), (*names, *weights)), entries
+
+
+def _motion(tape: Tape, n: int) -> tuple[list[str], tuple[list[Any], ...]]:
+    """Names and symbols of the inputs q, v and a."""
+    names = [f"{x}[{j}]" for x in "qva" for j in range(n)]
+    given = [tape.input(name) for name in names]
+    return names, (given[:n], given[n : 2 * n], given[2 * n :])

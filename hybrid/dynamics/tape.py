@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from hybrid.errors import HybridError
 
@@ -24,6 +25,12 @@ OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "minimum": np.minimum, "maximum": np.maximum, "where": np.where,
     "less": np.less, "less_equal": np.less_equal,
     "greater": np.greater, "greater_equal": np.greater_equal,
+}  # fmt: skip
+# Derivatives of operations by their arguments, as far as rigid bodies need them.
+_SLOPES: Mapping[str, Callable[..., tuple[Any, ...]]] = {
+    "add": lambda x, y: (1.0, 1.0), "subtract": lambda x, y: (1.0, -1.0),
+    "multiply": lambda x, y: (y, x), "negative": lambda x: (-1.0,),
+    "sin": lambda x: (np.cos(x),), "cos": lambda x: (-np.sin(x),),
 }  # fmt: skip
 _SAME = {"true_divide": "divide", "float_power": "power"}
 _MOST_FACTORS = 4  # of an integer power that is recorded as products
@@ -82,6 +89,33 @@ class Tape:
                         marked[x] = True
         return [line for line, needed in enumerate(marked) if needed]
 
+    def gradient(
+        self, results: Sequence[Symbol], seeds: Sequence[Any], inputs: Sequence[Symbol]
+    ) -> list[Any]:
+        """Derivatives of ``sum(seed * result)`` by inputs, by reverse differentiation.
+
+        Args:
+            results: Symbols of the tape.
+            seeds: Factor of each result.
+            inputs: Inputs of the tape.
+        """
+        slope: dict[int, Any] = {}
+
+        def add(line: int, x: Any) -> None:
+            slope[line] = slope[line] + x if line in slope else x
+
+        for result, seed in zip(results, seeds, strict=True):
+            add(result.line, seed)
+        for line in reversed(self.needed(results)):
+            name, arguments = self.lines[line].name, self.lines[line].arguments
+            if name == "input":
+                continue
+            x = [Symbol(self, y) if isinstance(y, int) else y for y in arguments]
+            for argument, factor in zip(arguments, _SLOPES[name](*x), strict=True):
+                if isinstance(argument, int):
+                    add(argument, slope[line] * factor)
+        return [slope.get(x.line, 0.0) for x in inputs]
+
     def _line(self, name: str, arguments: tuple[Any, ...]) -> int:
         key = (name, *((type(x), x) for x in arguments))
         if key not in self._lines_by_key:
@@ -90,7 +124,7 @@ class Tape:
         return self._lines_by_key[key]
 
 
-class Symbol:
+class Symbol(NDArrayOperatorsMixin):
     """A number on a tape."""
 
     def __init__(self, tape: Tape, line: int) -> None:
@@ -117,46 +151,7 @@ class Symbol:
     def __bool__(self) -> bool:
         raise HybridError("a law that is exported cannot branch; use numpy.where")
 
-    def __add__(self, other: Any) -> Any:
-        return self.tape.apply("add", self, other)
-
-    def __sub__(self, other: Any) -> Any:
-        return self.tape.apply("subtract", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self.tape.apply("subtract", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return self.tape.apply("multiply", self, other)
-
-    def __truediv__(self, other: Any) -> Any:
-        return self.tape.apply("divide", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return self.tape.apply("divide", other, self)
-
-    def __pow__(self, other: Any) -> Any:
-        return self.tape.apply("power", self, other)
-
-    def __neg__(self) -> Any:
-        return self.tape.apply("negative", self)
-
-    def __abs__(self) -> Any:
-        return self.tape.apply("absolute", self)
-
-    def __lt__(self, other: Any) -> Any:
-        return self.tape.apply("less", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.tape.apply("less_equal", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.tape.apply("greater", self, other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.tape.apply("greater_equal", self, other)
-
-    __radd__, __rmul__ = __add__, __mul__
+    __eq__, __hash__ = object.__eq__, object.__hash__
 
 
 def _simplified(name: str, x: list[Any]) -> Any:

@@ -13,15 +13,24 @@ from typing import Any
 from hybrid.dynamics.tape import Operation, Symbol
 from hybrid.errors import HybridError
 from hybrid.exports.manifest import UNITS_OF_KIND
-from hybrid.exports.program import Program
+from hybrid.model.program import Program
 from hybrid.names import c_comment, c_identifier
 from hybrid.robot import Robot
 
-_INFIX = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/"}
-_COMPARED = {"less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">="}
-_FUNCTIONS = {
-    "power": "pow", "absolute": "fabs", "sqrt": "sqrt", "exp": "exp", "log": "log",
-    "sin": "sin", "cos": "cos", "tanh": "tanh",
+# Operations of a tape on {0}, {1} and {2}.
+_OPERATIONS = {
+    "add": "{0} + {1}", "subtract": "{0} - {1}", "multiply": "{0} * {1}",
+    "divide": "{0} / {1}", "negative": "-{0}", "power": "{P}_M(pow)({0}, {1})",
+    "less": "({0} < {1}) ? {P}_R(1) : {P}_R(0)",
+    "less_equal": "({0} <= {1}) ? {P}_R(1) : {P}_R(0)",
+    "greater": "({0} > {1}) ? {P}_R(1) : {P}_R(0)",
+    "greater_equal": "({0} >= {1}) ? {P}_R(1) : {P}_R(0)",
+    "where": "({0} > {P}_R(0.5)) ? {1} : {2}",
+    "minimum": "({0} < {1}) ? {0} : {1}", "maximum": "({0} > {1}) ? {0} : {1}",
+    "sign": "({0} > {P}_R(0)) ? {P}_R(1) : (({0} < {P}_R(0)) ? -{P}_R(1) : {P}_R(0))",
+    "absolute": "{P}_M(fabs)({0})", "sqrt": "{P}_M(sqrt)({0})",
+    "exp": "{P}_M(exp)({0})", "log": "{P}_M(log)({0})", "sin": "{P}_M(sin)({0})",
+    "cos": "{P}_M(cos)({0})", "tanh": "{P}_M(tanh)({0})",
 }  # fmt: skip
 
 _HEADER = """\
@@ -219,8 +228,7 @@ def _lines(program: Program, marks: dict[str, Any]) -> Iterator[str]:
 
 
 def _expression(operation: Operation, P: str) -> str:
-    name = operation.name
-    if name == "input":
+    if operation.name == "input":
         text = str(operation.arguments[0])
         if text[0] in "qva":
             return text
@@ -229,20 +237,7 @@ def _expression(operation: Operation, P: str) -> str:
         f"x{y}" if isinstance(y, int) else c_number(float(y), P)
         for y in operation.arguments
     ]
-    one, zero = f"{P}_R(1)", f"{P}_R(0)"
-    if name in _INFIX:
-        return f"{x[0]} {_INFIX[name]} {x[1]}"
-    if name in _COMPARED:
-        return f"({x[0]} {_COMPARED[name]} {x[1]}) ? {one} : {zero}"
-    if name in _FUNCTIONS:
-        return f"{P}_M({_FUNCTIONS[name]})({', '.join(x)})"
-    return {
-        "negative": "-{0}",
-        "sign": f"({{0}} > {zero}) ? {one} : (({{0}} < {zero}) ? -{one} : {zero})",
-        "minimum": "({0} < {1}) ? {0} : {1}",
-        "maximum": "({0} > {1}) ? {0} : {1}",
-        "where": f"({{0}} > {P}_R(0.5)) ? {{1}} : {{2}}",
-    }[name].format(*x)
+    return _OPERATIONS[operation.name].format(*x, P=P)
 
 
 def _outputs(program: Program, marks: dict[str, Any]) -> Iterator[str]:

@@ -10,8 +10,8 @@ import numpy as np
 from hybrid import __version__
 from hybrid.exports.c_code import c_header, c_number
 from hybrid.exports.manifest import UNITS_OF_KIND
-from hybrid.exports.program import Program
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.model.program import Program
 from hybrid.names import c_identifier
 
 _EXAMPLE = """\

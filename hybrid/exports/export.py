@@ -10,13 +10,12 @@ from hybrid.arguments import MODEL, check_argument
 from hybrid.errors import HybridError
 from hybrid.exports.c_project import write_c
 from hybrid.exports.manifest import build_manifest, seal
-from hybrid.exports.onnx_graph import onnx_model
-from hybrid.exports.program import Program, program_from_model
 from hybrid.exports.simulator.model import model_simulator
 from hybrid.exports.simulator.snippets import isaac_lab, mjx_notes, write_ranges
 from hybrid.extras import check_extra
 from hybrid.files import atomic_folder
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.model.program import Program, program_from_model
 from hybrid.names import file_stem
 from hybrid.signals import Motion
 
@@ -118,6 +117,8 @@ def _write_program(
     if manifest["format"] == "c":
         write_c(model, program, manifest["model_sha256"], path.parent)
     elif manifest["format"] == "onnx":
+        from hybrid.exports.onnx_graph import onnx_model  # loads onnx
+
         content = onnx_model(program, manifest).SerializeToString()
         path.with_name(f"{path.name}.onnx").write_bytes(content)
     else:

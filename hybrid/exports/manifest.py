@@ -84,24 +84,16 @@ def seal(manifest: Mapping[str, Any], folder: Path, before: Path) -> None:
     write_json(folder / FILE, {**manifest, "files": files, "beside": beside})
 
 
-def read_manifest(
-    folder: str | Path, *, robot: Robot | None = None, model: DynamicModel | None = None
-) -> dict[str, Any]:
+def read_manifest(folder: str | Path) -> dict[str, Any]:
     """Check an export before it is used, and return its manifest.
 
-    Args:
-        folder: Folder of the export.
-        robot: The arm that it must belong to, if any.
-        model: The model that it must belong to, if any.
-
     Raises:
-        ModelFileError: It is of another version, arm or model, or a file was changed.
+        ModelFileError: It is of another version, or a file was changed.
     """
     folder = Path(folder)
     for _ in range(_TRIES):
         content: dict[str, Any] = _read(folder / FILE)
         try:
-            _check_owner(folder / FILE, content, robot, model)
             for each in (content, *content["beside"].values()):
                 _check_files(folder, each["files"])
             break
@@ -129,25 +121,6 @@ def _read(path: Path) -> dict[str, Any]:
             f"{__version__} ({SCHEMA}); export the model again"
         )
     return content
-
-
-def _check_owner(
-    path: Path,
-    content: Mapping[str, Any],
-    robot: Robot | None,
-    model: DynamicModel | None,
-) -> None:
-    if robot is not None and (
-        content["fingerprint"] != robot.fingerprint()
-        or tuple(content["joints"]) != robot.joints
-    ):
-        raise ModelFileError(
-            f"{path}: of arm {content['robot']} with joints "
-            f"{', '.join(content['joints'])}; this is {robot.name} with "
-            f"{', '.join(robot.joints)}"
-        )
-    if model is not None and content["model_sha256"] != model_digest(model):
-        raise ModelFileError(f"{path}: of another model; export this one")
 
 
 def _check_files(folder: Path, files: Mapping[str, str]) -> None:

@@ -8,9 +8,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from onnx import TensorProto, helper, numpy_helper
 
 from hybrid.dynamics import Law
-from hybrid.exports.program import Program
+from hybrid.model.program import Program
 
 _OPSET, _FORMAT = 18, 9  # operators and file format of 2023, for old runtimes
 _NAMES = {
@@ -23,7 +24,7 @@ _NAMES = {
 }  # fmt: skip
 
 
-class Graph:
+class _Graph:
     """Nodes and constants of a graph that is being built."""
 
     def __init__(self) -> None:
@@ -32,8 +33,6 @@ class Graph:
 
     def node(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """Add an operation; return the name of its result."""
-        from onnx import helper
-
         name = f"x{len(self.nodes)}"
         self.nodes.append(
             helper.make_node(operator, list(inputs), [name], **attributes)
@@ -42,8 +41,6 @@ class Graph:
 
     def constant(self, values: Any, kind: Any = np.float64) -> str:
         """Add a constant, unless an equal one exists; return its name."""
-        from onnx import numpy_helper
-
         array = np.asarray(values, dtype=kind)
         key = array.tobytes() + str((array.shape, array.dtype)).encode()
         if key not in self.constants:
@@ -51,50 +48,37 @@ class Graph:
             self.constants[key] = numpy_helper.from_array(array, name)
         return str(self.constants[key].name)
 
-    def model(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> Any:
-        """Build the graph; ``inputs`` and ``outputs`` give the columns of each name."""
-        from onnx import TensorProto, helper
-
-        def infos(columns: Mapping[str, int]) -> list[Any]:
-            return [
-                helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])
-                for name, width in columns.items()
-            ]
-
-        graph = helper.make_graph(
-            self.nodes, "hybrid", infos(inputs), infos(outputs),
-            list(self.constants.values()),
-        )  # fmt: skip
-        opset = helper.make_opsetid("", _OPSET)
-        return helper.make_model(graph, opset_imports=[opset], ir_version=_FORMAT)
-
 
 def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
     """Build an ``onnx.ModelProto`` with the manifest in its metadata.
 
-    Inputs are q, v and a, shape (N, n), and if the program uses them t, step and known,
-    shape (N, 1), and memory, shape (N, s). Outputs are tau and variance, shape (N, n),
-    and memory_out, shape (N, s).
+    Inputs and outputs are those of :meth:`.Program.widths`, shape (N, width).
     """
-    graph, n, s = Graph(), len(program.joints), len(program.memory)
-    inputs = {"q": n, "v": n, "a": n}
-    inputs |= {x: 1 for x in ("t", "step", "known") if x in program.uses}
-    inputs |= {"memory": s} if s else {}
+    graph = _Graph()
+    given, found = program.widths()
     columns = _results(graph, program)
-    outputs = {"tau": (columns[:n], n), "variance": (columns[n : 2 * n], n)}
-    if s:
-        outputs["memory_out"] = (columns[2 * n :], s)
-    for name, (parts, _) in outputs.items():
-        graph.node("Concat", *parts, axis=1)
+    for name, width in found.items():
+        graph.node("Concat", *columns[:width], axis=1)
         graph.nodes[-1].output[0] = name
-    model = graph.model(inputs, {name: width for name, (_, width) in outputs.items()})
+        del columns[:width]
+    inputs, outputs = (
+        [
+            helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])
+            for name, width in widths.items()
+        ]
+        for widths in (given, found)
+    )
+    constants = list(graph.constants.values())
+    made = helper.make_graph(graph.nodes, "hybrid", inputs, outputs, constants)
+    opset = helper.make_opsetid("", _OPSET)
+    model = helper.make_model(made, opset_imports=[opset], ir_version=_FORMAT)
     for key, value in manifest.items():
         text = value if isinstance(value, str) else json.dumps(value)
         model.metadata_props.add(key=key, value=text)
     return model
 
 
-def _results(graph: Graph, program: Program) -> list[str]:
+def _results(graph: _Graph, program: Program) -> list[str]:
     """Add a node for each operation, shape (N, 1); return the names of the results."""
 
     def put(operator: str, name: str, *given: str | float) -> str:
@@ -103,8 +87,6 @@ def _results(graph: Graph, program: Program) -> list[str]:
             x[0] = graph.node("Greater", x[0], graph.constant([0.5]))
         result = graph.node(operator, *x)
         if operator.startswith(("Less", "Greater")):
-            from onnx import TensorProto
-
             result = graph.node("Cast", result, to=TensorProto.DOUBLE)
         return result
 
@@ -120,7 +102,7 @@ def _results(graph: Graph, program: Program) -> list[str]:
     return [_column(graph, x) for x in found(*map(gathered, program.inputs))]
 
 
-def _column(graph: Graph, x: str | float) -> str:
+def _column(graph: _Graph, x: str | float) -> str:
     """Make a result, which may be a number, a column of shape (N, 1)."""
     if isinstance(x, str):
         return x

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from hybrid.dynamics import Law
-from hybrid.exports.program import Program
+from hybrid.model.program import Program
 
 
 def _of_tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
@@ -54,32 +54,27 @@ _BATCH = 3  # rows of the example for tracing
 
 
 class ProgramModule(torch.nn.Module):
-    """The program as a torch module, with the inputs and outputs of the ONNX export.
+    """The program as a torch module.
 
-    Inputs are q, v and a, shape (N, n), and if the program uses them t, step and known,
-    shape (N, 1), and memory, shape (N, s), in this order. Outputs are tau and variance,
-    shape (N, n), and memory_out, shape (N, s), if there is memory.
+    Inputs and outputs are those of :meth:`.Program.widths`, in this order, shape
+    (N, width).
     """
 
     def __init__(self, program: Program) -> None:
         super().__init__()
         self.program = program
-        self.names: list[str] = [x for x in ("t", "step", "known") if x in program.uses]
-        self.names += ["memory"] if program.memory else []
+        given, found = program.widths()
+        self.names, self.widths = list(given)[3:], list(found.values())
         self.law = Law(program.tape, program.results, program.inputs).by(_OPERATIONS)
 
     def forward(self, q: Tensor, v: Tensor, a: Tensor, *others: Tensor) -> Any:
         """Torque [N·m], variance [(N·m)²] of its learned part, and memory."""
-        program, n = self.program, len(self.program.joints)
         given = {"q": q, "v": v, "a": a}
         given |= dict(zip(self.names, others, strict=True))
         values = self.law(*(_column(given, name) for name in self.program.inputs))
         zero = torch.zeros_like(q[:, :1])
-        columns = [zero + x for x in values]
-        found = torch.cat(columns[:n], dim=1), torch.cat(columns[n : 2 * n], dim=1)
-        if not program.memory:
-            return found
-        return (*found, torch.cat(columns[2 * n :], dim=1))
+        whole = torch.cat([zero + x for x in values], dim=1)
+        return torch.split(whole, self.widths, dim=1)
 
 
 def _column(given: Mapping[str, Tensor], name: str) -> Tensor | None:
@@ -93,11 +88,10 @@ def write_torchscript(
     program: Program, manifest: Mapping[str, Any], path: Path
 ) -> None:
     """Write the archive, which includes the manifest as ``manifest.json``."""
-    module = ProgramModule(program)
-    n, s = len(program.joints), len(program.memory)
-    widths = [n] * 3 + [s if name == "memory" else 1 for name in module.names]
+    module, (given, _) = ProgramModule(program), program.widths()
     example = tuple(
-        torch.full((_BATCH, width), 0.1, dtype=torch.float64) for width in widths
+        torch.full((_BATCH, width), 0.1, dtype=torch.float64)
+        for width in given.values()
     )
     with warnings.catch_warnings():
         # torch warns that TorchScript has a successor.

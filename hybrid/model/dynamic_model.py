@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,8 +14,8 @@ from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import BaseParameters, RigidBody
 from hybrid.effects import Effect
 from hybrid.errors import ModelFileError
-from hybrid.model.effect_torque import EffectTorque, effect_torque
 from hybrid.model.model_file import read_model, write_model
+from hybrid.model.program import Program, is_instant, program_from_model
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
@@ -97,8 +97,11 @@ class DynamicModel:
         for effect in self.effects:
             if effect.observes:
                 motion = effect.observe(motion, self.body(motion))
+        program, others = self._parts
+        tau, _ = program.run(motion.q, motion.v, motion.a)
         body = self.body(motion)
-        tau = body.load + self._effect_torque(motion, body)
+        for effect in others:
+            tau[:, effect.reaches(tau.shape[1])] += effect.torque(motion, body)
         for effect in self.effects:
             if effect.reports:
                 joints = list(effect.joints)
@@ -108,8 +111,13 @@ class DynamicModel:
         return tau
 
     @cached_property
-    def _effect_torque(self) -> EffectTorque:
-        return effect_torque(self.robot.chain, self.effects)
+    def _parts(self) -> tuple[Program, tuple[Effect, ...]]:
+        """Laws of one instant as a program, and effects that need a whole motion."""
+        split: dict[bool, list[Effect]] = {True: [], False: []}
+        for effect in self.effects:
+            split[is_instant(self, effect)].append(effect)
+        own = replace(self, effects=tuple(split[True]), remainder=None)
+        return program_from_model(own), tuple(split[False])
 
     def save(self, path: str | Path) -> None:
         """Write the model to ``path``, a JSON file with a hash of its content.

@@ -108,7 +108,8 @@ def _content(model: DynamicModel) -> dict[str, Any]:
     base, remainder = model.base, model.remainder
     learned: dict[str, Any] | None = None
     if remainder is not None:
-        learned = {"parts": remainder.as_dict(), "arrays": _packed(remainder.arrays())}
+        arrays = {name: _packed(x) for name, x in remainder.arrays().items()}
+        learned = {"parts": remainder.as_dict(), "arrays": arrays}
     return {
         "cutoff": model.cutoff if np.isfinite(model.cutoff) else None,
         "base": {
@@ -117,26 +118,26 @@ def _content(model: DynamicModel) -> dict[str, Any]:
             "kept": list(base.kept),
             "names": list(base.names),
             "values": base.values.tolist(),
-            "mapping": _packed({"mapping": base.mapping})["mapping"],
+            "mapping": _packed(base.mapping),
         },
         "effects": [effect.as_dict(model.robot.joints) for effect in model.effects],
         "standing": model.standing.tolist(),
         "range": {name: x.tolist() for name, x in model.range.items()},
         "inertial": None if model.inertial is None else model.inertial.tolist(),
         "remainder": learned,
-        **(_packed({"covariance": model.covariance}) if model.covariance.size else {}),
+        **({"covariance": _packed(model.covariance)} if model.covariance.size else {}),
     }
 
 
-def _packed(arrays: Mapping[str, Array]) -> dict[str, Any]:
-    content = {}
-    for name, x in arrays.items():
-        text = b64encode(np.asarray(x, dtype="<f8").tobytes()).decode("ascii")
-        content[name] = {"shape": list(x.shape), "float64": text}
-    return content
+def _packed(x: Array) -> dict[str, Any]:
+    text = b64encode(np.asarray(x, dtype="<f8").tobytes()).decode("ascii")
+    return {"shape": list(x.shape), "float64": text}
 
 
-def _unpacked(name: str, content: Mapping[str, Any]) -> Array:
+def _unpacked(
+    name: str, content: Mapping[str, Any], valid: tuple[int, ...] | None = None
+) -> Array:
+    """Read an array, of a valid shape if one is given."""
     shape = tuple(map(_whole, content["shape"]))
     numbers = b64decode(content["float64"], validate=True)
     if (
@@ -144,7 +145,10 @@ def _unpacked(name: str, content: Mapping[str, Any]) -> Array:
         or min(shape, default=0) < 0
     ):
         raise ModelFileError(f"{name} has {len(numbers)} bytes for shape {shape}")
-    return _finite(name, np.frombuffer(numbers, "<f8").astype(float).reshape(shape))
+    x = _finite(name, np.frombuffer(numbers, "<f8").astype(float).reshape(shape))
+    if valid not in (None, shape):
+        raise ModelFileError(f"{name} has shape {shape}; valid is {valid}")
+    return x
 
 
 def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel:
@@ -175,12 +179,9 @@ def _covariance(content: Mapping[str, Any], size: int) -> Array:
     """Covariance of the base values; older files have none."""
     if "covariance" not in content:
         return np.zeros((0, 0))
-    found = _unpacked("covariance", content["covariance"])
-    if found.shape != (size, size) or (np.diag(found) < 0).any():
-        raise ModelFileError(
-            f"covariance has shape {found.shape}, or a variance below 0; valid is "
-            f"{(size, size)}"
-        )
+    found = _unpacked("covariance", content["covariance"], (size, size))
+    if (np.diag(found) < 0).any():
+        raise ModelFileError("covariance has a variance below 0")
     return found
 
 
@@ -203,12 +204,8 @@ def _base(robot: Robot, content: Any) -> BaseParameters:
         raise ModelFileError(f"base parameters have {p} labels and {len(units)} units")
     if not (len(set(kept)) == len(kept) and all(0 <= k < p for k in kept)):
         raise ModelFileError(f"kept parameters are not different ones below {p}")
-    mapping = _unpacked("mapping", content["mapping"])
+    mapping = _unpacked("mapping", content["mapping"], (len(kept), p))
     values = _array("values", content["values"], (len(kept),))
-    if mapping.shape != (len(kept), p):
-        raise ModelFileError(
-            f"mapping has shape {mapping.shape}; valid is {(len(kept), p)}"
-        )
     return BaseParameters(labels, units, kept, mapping, values)
 
 

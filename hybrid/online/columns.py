@@ -8,8 +8,7 @@ from functools import partial
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.dynamics import RigidBody
-from hybrid.dynamics.sample import SampleRegressor
+from hybrid.dynamics import RigidBody, regressor_law
 from hybrid.errors import IdentificationError
 from hybrid.online.laws import STEP, IndexedEffect, InstantLaws
 from hybrid.online.layout import PAYLOAD, RowLayout
@@ -61,15 +60,15 @@ class InstantColumns:
         columns = np.concatenate([kept[self._base], np.tile(last, n)])
         rows = np.concatenate([joints, np.repeat(np.arange(n), PAYLOAD)])
         entries = np.ravel_multi_index((rows, columns), (n, 10 * n)).tolist()
-        self._regressor = SampleRegressor(robot, entries)
+        self._regressor = regressor_law(robot.chain, tuple(entries))
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
     def _fill_rigid(self, first: int) -> None:
         """Write the rigid body at some instants, beginning with one."""
         together = slice(first, first + _TOGETHER)
-        _, *motion = (x[together] for x in self._states)
-        for row, *state in zip(self.rows[together], *motion, strict=True):
-            row[self._targets] = self._regressor(*state)
+        motion = np.concatenate([x[together] for x in self._states[1:]], axis=1)
+        for row, state in zip(self.rows[together], motion.tolist(), strict=True):
+            row[self._targets] = self._regressor.at(state)
 
     def _fill_laws(self, k: int) -> None:
         """Write the laws of single joints at one instant."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import mujoco
 import numpy as np
 
 _BALL = 1  # mjtJoint; joints of higher types have one axis
@@ -24,8 +25,6 @@ def passive_motors(model: Any) -> Iterator[tuple[int, int, float]]:
 
 
 def _on_joints(model: Any) -> Iterator[tuple[int, int, float]]:
-    import mujoco
-
     at = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     for a in range(model.nactuator):
         joint = int(model.actuator_trnid[a, 0])
@@ -72,8 +71,6 @@ def with_drives(model: Any, name: str, drives: list[Any]) -> np.ndarray:
 
 def torque_limit(model: Any, drives: list[Any]) -> np.ndarray:
     """Smallest torque limit at each joint: of joint, actuator and control range."""
-    import mujoco
-
     limit = np.full(model.njnt, np.inf)
     for j in np.flatnonzero(model.jnt_actfrclimited):
         limit[j] = np.abs(model.jnt_actfrcrange[j]).max()
@@ -98,8 +95,6 @@ def servo_gains(model: Any, drives: list[Any]) -> tuple[np.ndarray, np.ndarray]:
     A servo's gain equals its feedback of position (``position``) or speed
     (``velocity``). The gains of both kinds at one joint, a PD controller, are added.
     """
-    import mujoco
-
     kp, kd = np.zeros((2, model.njnt))
     for a, joint, gear in drives:
         gain, (constant, stiffness, damping) = (

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import ctypes
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.errors import RobotError
 from hybrid.extras import check_extra
 from hybrid.robot.spatial import ROUNDED, central_inertia
 
 if TYPE_CHECKING:
-    import mujoco
     import pinocchio
 
     from hybrid.robot.robot import Robot
@@ -47,9 +49,6 @@ def pinocchio_model(robot: Robot) -> pinocchio.Model:
 
 def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
     """See :meth:`hybrid.robot.robot.Robot.mujoco_spec`."""
-    import mujoco
-    from scipy.spatial.transform import Rotation
-
     chain = robot.chain
     spec = mujoco.MjSpec()
     spec.modelname = robot.name
@@ -98,6 +97,39 @@ def spec_text(spec: mujoco.MjSpec) -> str:
         return str(spec.to_xml())
     finally:
         library._mjPRIVATE__set_xml_precision(digits)
+
+
+def mjcf_skeleton(robot: Robot) -> str:
+    """MJCF of links, joints and limits, with a motor of gear 1 at each joint.
+
+    The later edit of the file adds dry friction and couplings, as hard as it can.
+    """
+    smooth = replace(
+        robot, frictionloss=0.0 * robot.frictionloss, coupled=robot.coupled[:0]
+    )
+    spec = mujoco_spec(smooth)
+    add_motors(spec, robot)
+    spec.compile()
+    return spec_text(spec)
+
+
+def add_motors(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Add motors and limits to a spec without actuators."""
+    for k, name in enumerate(robot.joints):
+        joint = spec.joint(name)
+        if np.isfinite([robot.q_min[k], robot.q_max[k]]).all():
+            joint.limited = 1
+            joint.range = np.array([robot.q_min[k], robot.q_max[k]])
+        if np.isfinite(robot.tau_max[k]):
+            joint.actfrclimited = 1
+            joint.actfrcrange = np.array([-1.0, 1.0]) * robot.tau_max[k]
+        motor = spec.add_actuator(name=name, target=name)
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        motor.gainprm[0] = motor.gear[0] = 1.0
+    limits = {"velocity_limit": robot.v_max, "acceleration_limit": robot.a_max}
+    for name, values in limits.items():
+        if np.isfinite(values).all():
+            spec.add_numeric(name=name, size=robot.size).data = values
 
 
 def simulable(

@@ -1,8 +1,7 @@
 """Estimate the memory and time that a robot file needs, before it is compiled.
 
-A few bytes of MJCF can describe a billion bodies. The text is read once, tag by tag.
-The parsers of MuJoCo and URDF also accept what is not valid XML; so does this one. It
-counts elements, times the copies that ``replicate`` and others make of them, and the
+A few bytes of MJCF can describe a billion bodies. The text is read once, tag by tag, to
+count elements, times the copies that ``replicate`` and others make of them, and the
 numbers that textures, height fields and user data need.
 """
 
@@ -10,12 +9,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from hybrid.errors import RobotError
 from hybrid.names import printable
+from hybrid.robot.edit.markup import markup, read_markup
 
 # MuJoCo's time grows with the square of the elements: this number takes seconds. The
 # largest robot file of a usual collection, of a humanoid on wheels, has 3,895 elements.
@@ -27,132 +27,97 @@ _MOST_OF = {"nkey": 1e4, "nconmax": 1e6, "njmax": 1e6, "nstack": 1e9, "memory": 
 _COPIES = ("replicate", "composite", "flexcomp")  # ``count`` copies of their content
 _NUMBERS = re.compile(r"nrow|ncol|width|height|nsample|nuser\w+|actdim|dim")
 _PREFIX = {"k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40, "p": 2**50, "e": 2**60}
-_TAG = re.compile(r"""<\s*(/?)\s*([^\s<>/"'=]+)((?:[^<>"']|"[^"]*"|'[^']*')*+)>""")
-_SKIPPED = re.compile(r"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>|<![^>]*>", re.DOTALL)
-_ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
 @dataclass
 class _Demand:
-    """Demand of a file and of the files that it includes."""
+    """Demand of a file and of the files that it names, relative to a folder."""
 
+    home: Path
     elements: float = 0.0
     numbers: float = 0.0
     attached: float = 0.0  # number of models that are attached
+    opened: int = 0  # files that were read
     models: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
     folders: list[str] = field(default_factory=lambda: [""])
+
+    def read(self, path: Path, copies: float) -> None:
+        """Add the elements of a file, times the copies that are made of them."""
+        self.opened += 1
+        _check(path, "files", self.opened)
+        _check(path, "bytes", path.stat().st_size)
+        inner = [copies]  # copies of the elements at each level
+        for tag in markup(read_markup(path.read_bytes()), path):
+            if tag.closes:
+                inner = inner[:-1] or inner
+                continue
+            own, given = inner[-1], tag.attributes
+            if tag.name in _COPIES:
+                own *= _product(given.get("count", ""))
+            self.add(path, tag.name, given, own)
+            if tag.name == "include":
+                self.read_named(given.get("file", ""), path, own)
+            if not tag.empty:
+                inner.append(own)
+                _check(path, "levels", len(inner) - 1)
+
+    def read_named(self, name: str, path: Path, copies: float) -> None:
+        """Add a file that is named in another one, if it exists."""
+        for folder in (self.home, path.parent):
+            if (folder / name).is_file():
+                self.read(folder / name, copies)
+                return
+
+    def add(
+        self, path: Path, tag: str, given: Mapping[str, str], copies: float
+    ) -> None:
+        """Add an element."""
+        for name, most in _MOST_OF.items():
+            if name in given and _product(given[name]) > most:
+                shown = printable(given[name][:40])
+                raise RobotError(
+                    f"{path}: {name} is {shown}; valid is up to {most:,.0f}"
+                )
+        self.elements += copies
+        own = [x for name, x in given.items() if _NUMBERS.fullmatch(name)]
+        own += [given.get("size", "")] if tag == "numeric" else []
+        self.numbers += copies * math.prod(map(_product, own)) if own else 0.0
+        self.attached += copies if tag == "attach" else 0.0
+        if tag == "model":
+            self.models.append(given.get("file", ""))
+        elif tag != "include":
+            self.files += [x for name, x in given.items() if name.startswith("file")]
+        self.folders += [x for name, x in given.items() if name.endswith("dir")]
+        _check(path, "elements", self.elements)
+        _check(path, "numbers", self.numbers)
 
 
 def check_demand(path: Path) -> None:
     """Refuse a robot file that needs more than any robot does."""
     try:
-        _demand(path, path.parent, [])
+        _demand(path)
     except OSError as error:
         where = error.filename or path
         raise RobotError(f"{where}: cannot be read ({error.strerror})") from error
 
 
-def _demand(path: Path, home: Path, seen: list[Path]) -> _Demand:
-    """Demand of a file; names in it are relative to the folder ``home``."""
-    seen.append(path)
-    _check(path, "files", len(seen))
-    _check(path, "bytes", path.stat().st_size)
-    found = _Demand()
-    opened: list[float] = []  # copies of each open element
-    for closes, tag, given in _tags(path):
-        if closes:
-            del opened[-1:]
-            continue
-        copies = opened[-1] if opened else 1.0
-        if tag in _COPIES:
-            copies *= _product(given.get("count", ""))
-        _check_sizes(path, given)
-        _add(found, tag, given, copies)
-        if tag == "include":
-            _merge(found, _included(given.get("file", ""), path, home, seen), copies)
-        _check(path, "elements", found.elements)
-        _check(path, "numbers", found.numbers)
-        if "/" not in given:
-            opened.append(copies)
-            _check(path, "levels", len(opened))
-    for name in found.models if found.attached else ():
-        _merge(found, _included(name, path, home, seen), found.attached)
-    _check_files(path, home, found)
-    _check(path, "elements", found.elements)
-    return found
-
-
-def _add(found: _Demand, tag: str, given: Mapping[str, str], copies: float) -> None:
-    found.elements += copies
-    own = [x for name, x in given.items() if _NUMBERS.fullmatch(name)]
-    own += [given.get("size", "")] if tag == "numeric" else []
-    found.numbers += copies * math.prod(map(_product, own)) if own else 0.0
-    found.attached += copies if tag == "attach" else 0.0
-    if tag == "model":
-        found.models.append(given.get("file", ""))
-    elif tag != "include":
-        found.files += [x for name, x in given.items() if name.startswith("file")]
-    found.folders += [x for name, x in given.items() if name.endswith("dir")]
-
-
-def _check_sizes(path: Path, given: Mapping[str, str]) -> None:
-    for name, most in _MOST_OF.items():
-        if name in given and _product(given[name]) > most:
-            shown = printable(given[name][:40])
-            raise RobotError(f"{path}: {name} is {shown}; valid is up to {most:,.0f}")
-
-
-def _merge(found: _Demand, other: _Demand, copies: float) -> None:
-    found.elements += copies * other.elements
-    found.numbers += copies * other.numbers
-    found.attached += copies * other.attached
-    found.models += other.models
-    found.files += other.files
-    found.folders += other.folders
-
-
-def _included(name: str, path: Path, home: Path, seen: list[Path]) -> _Demand:
-    """Demand of a file that is named in another one; zero if it does not exist."""
-    for folder in (home, path.parent):
-        if (folder / name).is_file():
-            return _demand(folder / name, home, seen)
-    return _Demand()
-
-
-def _check_files(path: Path, home: Path, found: _Demand) -> None:
-    """Check that MuJoCo will open no device or pipe, and not too many bytes."""
+def _demand(path: Path) -> _Demand:
+    found = _Demand(path.parent)
+    found.read(path, 1.0)
+    for name in found.models:  # grows by the models of models
+        if found.attached:
+            found.read_named(name, path, found.attached)
     size = 0
     for name in dict.fromkeys(found.files):
         for folder in dict.fromkeys(found.folders):
-            file = home / folder / name
+            file = path.parent / folder / name
             if file.is_file():
                 size += file.stat().st_size
-            elif file.exists() and not file.is_dir():
+            elif file.exists() and not file.is_dir():  # a device or a pipe
                 raise RobotError(f"{path}: {printable(name)!r} is not a regular file")
     _check(path, "bytes of its files", size)
-
-
-def _tags(path: Path) -> Iterator[tuple[bool, str, dict[str, str]]]:
-    """Tags in order: whether it is an end tag, its name, its attributes.
-
-    An element without content has an attribute named ``/``.
-    """
-    text, at = path.read_bytes().decode("latin-1"), 0
-    while (at := text.find("<", at)) >= 0:
-        match = _SKIPPED.match(text, at) or _TAG.match(text, at)
-        if match is None:
-            raise RobotError(
-                f"{path}: not a readable robot file (a tag is not closed, "
-                f"{printable(text[at : at + 20])!r})"
-            )
-        if match.re is _TAG:
-            closing, tag, rest = match.groups()
-            given = {k: x[1:-1] for k, x in _ATTRIBUTE.findall(rest)}
-            if rest.endswith("/"):
-                given["/"] = ""
-            yield bool(closing), tag, given
-        at = match.end()
+    return found
 
 
 def _product(text: str) -> float:

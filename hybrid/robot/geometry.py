@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import Element
 
+import mujoco
 import numpy as np
+from scipy.cluster.vq import kmeans2
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
@@ -107,19 +109,25 @@ def _urdf_pieces(root: Element, path: Path) -> Iterator[Piece]:
 def _urdf_points(shape: Element, path: Path) -> Iterator[tuple[Array, float]]:
     """Points of a shape, and the radius of the ball around each."""
     tag = shape[0].tag if len(shape) else ""
-    radius, length = (number(shape, tag, x, 0.0) for x in ("radius", "length"))
-    if tag == "sphere":
-        yield np.zeros((1, 3)), radius
-    elif tag == "capsule":
-        yield _segment(length / 2), radius
-    elif tag == "cylinder":
-        yield _cylinder(radius, length / 2), 0.0
-    elif tag == "box":
-        yield _box(numbers(shape, tag, "size", 0.0, 0.0, 0.0) / 2), 0.0
-    elif tag == "mesh":
+    if tag == "mesh":
         points, triangles = _mesh(_mesh_file(shape[0].get("filename", ""), path))
         points = points * numbers(shape, tag, "scale", 1.0, 1.0, 1.0)
         yield from ((x, 0.0) for x in _pieces(points, triangles))
+    elif tag in ("sphere", "capsule", "cylinder", "box"):
+        radius, length = (number(shape, tag, x, 0.0) for x in ("radius", "length"))
+        box = numbers(shape, tag, "size", 0.0, 0.0, 0.0) / 2
+        yield _points(tag, radius, length / 2, box)
+
+
+def _points(kind: str, radius: float, half: float, box: Array) -> tuple[Array, float]:
+    """Points of a plain shape, and the radius of the ball around each."""
+    if kind == "sphere":
+        return np.zeros((1, 3)), radius
+    if kind == "capsule":
+        return _segment(half), radius
+    if kind == "cylinder":
+        return _cylinder(radius, half), 0.0
+    return _box(box), 0.0
 
 
 def _mesh_file(name: str, path: Path) -> Path:
@@ -154,29 +162,20 @@ def _mesh(file: Path) -> tuple[Array, np.ndarray]:
 
 
 def _mjcf_pieces(model: Any) -> Iterator[Piece]:
-    import mujoco
-
-    shape = mujoco.mjtGeom
     for g in range(model.ngeom):
-        kind, size = model.geom_type[g], model.geom_size[g]
-        if kind == shape.mjGEOM_PLANE:
+        kind = mujoco.mjtGeom(int(model.geom_type[g]))
+        if kind == mujoco.mjtGeom.mjGEOM_PLANE:
             continue
-        clouds: list[tuple[Array, float]]
-        if kind == shape.mjGEOM_SPHERE:
-            clouds = [(np.zeros((1, 3)), float(size[0]))]
-        elif kind == shape.mjGEOM_CAPSULE:
-            clouds = [(_segment(float(size[1])), float(size[0]))]
-        elif kind == shape.mjGEOM_CYLINDER:
-            clouds = [(_cylinder(float(size[0]), float(size[1])), 0.0)]
-        elif kind == shape.mjGEOM_MESH:
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
             mesh = model.mesh(int(model.geom_dataid[g]))
             first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
             face, faces = int(mesh.faceadr[0]), int(mesh.facenum[0])
             triangles = model.mesh_face[face : face + faces]
             vertices = model.mesh_vert[first : first + count].astype(float)
             clouds = [(x, 0.0) for x in _pieces(vertices, triangles)]
-        else:  # a box, or an ellipsoid in its box
-            clouds = [(_box(size), 0.0)]
+        else:  # an ellipsoid is covered by its box
+            size, word = model.geom_size[g], kind.name.removeprefix("mjGEOM_").lower()
+            clouds = [_points(word, float(size[0]), float(size[1]), size)]
         R, body = matrix(model.geom_quat[g]), int(model.geom_bodyid[g])
         for points, extra in clouds:
             name = model.geom(g).name or f"geom_{g}"
@@ -201,8 +200,6 @@ def _box(half: Array) -> Array:
 
 def _pieces(points: Array, triangles: np.ndarray) -> Iterator[Array]:
     """Split the points of a mesh into groups; each triangle lies in one group."""
-    from scipy.cluster.vq import kmeans2
-
     if len(triangles) == 0:
         yield points
         return

@@ -10,7 +10,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.errors import RobotError, warn
 from hybrid.robot.actuators import (
@@ -55,6 +57,7 @@ def fields_of_mujoco(
     armature = with_drives(model, "armature", drives)[model.jnt_dofadr[index]]
     falling = bristles(model, index)[:, [0, 2, 3]]
     return {
+        "name": model.names[: model.names.index(b"\0")].decode(),
         "chain": tree.chain(keep, held, gravity, armature),
         "held": dict(held),
         "q_min": np.where(limited, low, -np.inf),
@@ -132,8 +135,6 @@ def sum_tendons(model: Any) -> Iterator[tuple[int, list[int], float]]:
     Yields:
         Number, joints, and torque at each joint per force, which is the multiple.
     """
-    import mujoco
-
     for t in np.flatnonzero(model.tendon_num <= 2).tolist():
         own = slice(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
         fixed = (model.wrap_type[own] == mujoco.mjtWrap.mjWRAP_JOINT).all()
@@ -163,8 +164,6 @@ def _coupled(model: Any, index: list[int]) -> np.ndarray:
 
 def _enabled(model: Any, flag: str) -> float:
     """One, or zero if an option of the file disables a kind of force."""
-    import mujoco
-
     off = int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
     return 0.0 if model.opt.disableflags & off else 1.0
 
@@ -202,16 +201,9 @@ def mujoco_tree(model: Any, where: str | Path) -> Tree:
 def joint_frame(
     model: Any, joint: int, R: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frame of a hinge or slide at position zero.
+    """Frame of a hinge or slide at position zero, and its offset in the body, [m].
 
-    Args:
-        model: MuJoCo's model.
-        joint: The joint.
-        R: Rotation of the body at the joint's position in the file, shape (3, 3).
-        p: Position of the body there, shape (3,), [m].
-
-    Returns:
-        Rotation and position of the frame, and its offset in the body, [m].
+    The pose R, p of the body is that at the joint's position in the file.
     """
     axis, offset = model.jnt_axis[joint], model.jnt_pos[joint]
     back = -model.qpos0[model.jnt_qposadr[joint]]
@@ -249,14 +241,10 @@ def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:
 
 def matrix(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrix of a quaternion with the scalar first, shape (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
 
 
 def _numeric(model: Any, name: str, index: list[int], where: str) -> np.ndarray:
-    import mujoco
-
     k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     if k < 0:
         return np.full(len(index), np.inf)

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from hybrid.errors import RobotError
 from hybrid.names import printable
 
@@ -14,8 +16,6 @@ _CORNERS = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]  # of a tetrahedron
 
 def compile_file(path: str | Path) -> Any:
     """Compile a file by MuJoCo; a warning of MuJoCo counts as an error."""
-    import mujoco
-
     return _checked(lambda: mujoco.MjModel.from_xml_path(str(path)), path)
 
 
@@ -36,8 +36,6 @@ def compile_without_assets(path: str | Path) -> tuple[Any, Mapping[int, str]]:
 
 def spec_from_file(path: Path) -> Any:
     """Read a file as MuJoCo's spec; ``ValueError`` if that fails."""
-    import mujoco
-
     if path.suffix.lower() == ".xml":
         return mujoco.MjSpec.from_file(str(path))
     text = path.read_text(encoding="utf-8", errors="replace")
@@ -52,8 +50,6 @@ def compile_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
     Returns:
         The model, and the missing mesh file that each body needs for its inertia.
     """
-    import mujoco
-
     spec.compiler.fusestatic = False  # keep the bodies of the file
     missing = dict(_replace_missing_files(spec))
     model = _checked(spec.compile, where)
@@ -74,8 +70,6 @@ def compile_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
 
 def _checked(make: Callable[[], Any], where: str | Path) -> Any:
     """Call MuJoCo; its warnings and exceptions become an error."""
-    import mujoco
-
     messages: list[str] = []
     before = mujoco.get_mju_user_warning()
     # Otherwise MuJoCo writes warnings to a file in the current folder.
@@ -94,7 +88,6 @@ def _checked(make: Callable[[], Any], where: str | Path) -> Any:
 
 def _replace_missing_files(spec: Any) -> Iterator[tuple[str, str]]:
     """Replace missing files by placeholders; yield name and file of missing meshes."""
-    import mujoco
 
     def missing(folder: str, asset: Any) -> bool:
         file = Path(asset.file).name if spec.strippath else asset.file

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from hybrid.errors import RobotError
@@ -24,23 +25,29 @@ def read_robot(
     source: Any, joints: tuple[str, ...] | None, held: Mapping[str, float]
 ) -> Read:
     """Read the fields of a robot from a file, a name, or another library's model."""
-    home = type(source).__module__.partition(".")[0]
-    match home, type(source).__name__:
-        case ("mujoco", "MjModel"):
-            return _of_mujoco((source.__copy__(), {}), "MjModel", joints, held)
-        case ("mujoco", "MjSpec"):
-            spec = source.copy()
-            return _of_mujoco(compile_spec(spec, "MjSpec"), "MjSpec", joints, held)
-        case ("pinocchio", "Model"):
-            return _of_pinocchio(source, joints, held), None
-    if not isinstance(source, (str, Path)):
-        raise RobotError(
-            f"{home}.{type(source).__name__} is no robot; valid are a file, a name, "
-            "mujoco.MjModel, mujoco.MjSpec and pinocchio.Model"
-        )
-    path = robot_file(source)
+    match source:
+        case mujoco.MjModel():
+            model = source.__copy__()
+            return fields_of_mujoco(model, "MjModel", joints, held, {}), model
+        case mujoco.MjSpec():
+            model, missing = compile_spec(source.copy(), "MjSpec")
+            return fields_of_mujoco(model, "MjSpec", joints, held, missing), model
+        case str() | Path():
+            return _of_file(robot_file(source), joints, held)
+    home, name = type(source).__module__.partition(".")[0], type(source).__name__
+    if (home, name) == ("pinocchio", "Model"):
+        return _of_pinocchio(source, joints, held), None
+    raise RobotError(
+        f"{home}.{name} is no robot; valid are a file, a name, mujoco.MjModel, "
+        "mujoco.MjSpec and pinocchio.Model"
+    )
+
+
+def _of_file(
+    path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
+) -> Read:
     try:
-        return _of_file(path, joints, held)
+        return _opened(path, joints, held)
     except RobotError as error:
         if str(path) in str(error):
             raise
@@ -49,19 +56,7 @@ def read_robot(
         raise RobotError(f"{path}: a name in it is not UTF-8 ({error})") from error
 
 
-def _of_mujoco(
-    compiled: tuple[Any, Mapping[int, str]],
-    where: str,
-    joints: tuple[str, ...] | None,
-    held: Mapping[str, float],
-) -> Read:
-    model, missing_inertia = compiled
-    fields = fields_of_mujoco(model, where, joints, held, missing_inertia)
-    name = model.names[: model.names.index(b"\0")].decode()
-    return {"name": name, **fields}, model
-
-
-def _of_file(
+def _opened(
     path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
 ) -> Read:
     suffix = path.suffix.lower()
@@ -78,8 +73,8 @@ def _of_file(
         content = path.read_bytes()
     if suffix in (".urdf", ".xacro"):
         return {**read_urdf(content, path, joints, held), "path": str(path)}, None
-    compiled = compile_without_assets(path)
-    fields, model = _of_mujoco(compiled, str(path), joints, held)
+    model, missing = compile_without_assets(path)
+    fields = fields_of_mujoco(model, str(path), joints, held, missing)
     return {**fields, "name": path.stem, "path": str(path)}, model
 
 

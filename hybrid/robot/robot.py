@@ -8,17 +8,18 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError, warn
 from hybrid.names import name_fault
+from hybrid.robot.build import mujoco_spec, pinocchio_model
 from hybrid.robot.chain import Chain
 from hybrid.robot.read import read_robot
 from hybrid.robot.unmodelled import check_modelled
 
 if TYPE_CHECKING:
-    import mujoco
     import pinocchio
 
 _SPRINGS = ("quadratic", "cubic", "stiffness", "springref", "knee", "knee_speed")
@@ -26,6 +27,7 @@ _VECTORS = (
     "q_min", "q_max", "v_max", "a_max", "tau_max", "damping", "frictionloss", *_SPRINGS,
 )  # fmt: skip
 _SERVO = ("kp", "kd")
+_NONE = {"kp": np.nan, "kd": np.nan, "q_min": -np.inf}  # others are inf without a limit
 _ROWS = {"ripple": 4, "falling": 3, "coupled": 5}  # numbers in a row
 
 
@@ -98,9 +100,9 @@ class Robot:
     def __post_init__(self) -> None:
         if self.name and (fault := name_fault(self.name)):
             raise RobotError(f"arm {fault}")
-        optional = dict.fromkeys(_SERVO, np.nan) | dict.fromkeys(_SPRINGS, 0.0)
-        for name, none in {"a_max": np.inf, **optional}.items():
+        for name in ("a_max", *_SERVO, *_SPRINGS):
             if getattr(self, name).size == 0:
+                none = 0.0 if name in _SPRINGS else _NONE.get(name, np.inf)
                 object.__setattr__(self, name, np.full(self.chain.size, none))
         for name in _VECTORS:
             x = getattr(self, name)
@@ -250,8 +252,6 @@ class Robot:
         Raises:
             HybridError: pinocchio is not installed.
         """
-        from hybrid.robot.build import pinocchio_model
-
         return pinocchio_model(self)
 
     def mujoco_spec(self) -> mujoco.MjSpec:
@@ -259,21 +259,21 @@ class Robot:
 
         Bodies are named by joint. There is no geometry and there are no actuators.
         """
-        from hybrid.robot.build import mujoco_spec
-
         return mujoco_spec(self)
 
     def as_dict(self) -> dict[str, Any]:
         """Content for JSON; infinite limits and undeclared gains are ``None``."""
-        content: dict[str, Any] = {"name": self.name, "path": Path(self.path).name}
-        content["chain"] = {
-            f.name: _plain(getattr(self.chain, f.name)) for f in fields(Chain)
+        return {
+            "name": self.name,
+            "path": Path(self.path).name,
+            "chain": {
+                f.name: _plain(getattr(self.chain, f.name)) for f in fields(Chain)
+            },
+            **{name: _plain(getattr(self, name)) for name in (*_VECTORS, *_SERVO)},
+            **{name: getattr(self, name).tolist() for name in _ROWS},
+            "timestep": None if np.isnan(self.timestep) else self.timestep,
+            "held": dict(self.held),
         }
-        names = (*_VECTORS, *_SERVO)
-        content |= {name: _plain(getattr(self, name)) for name in names}
-        step = None if np.isnan(self.timestep) else self.timestep
-        content |= {name: getattr(self, name).tolist() for name in _ROWS}
-        return content | {"timestep": step, "held": dict(self.held)}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Robot:
@@ -289,23 +289,22 @@ class Robot:
                 raise RobotError(f"revolute is {turning}; valid are true and false")
             arrays = {key: _numbers(key, value) for key, value in chain.items()}
             own = {
-                name: _numbers(name, content[name], none=_none(name))
+                name: _numbers(name, content[name], none=_NONE.get(name, np.inf))
                 for name in (*_VECTORS, *_SERVO)
                 if name not in _SPRINGS or name in content  # older files have none
             }
-            held = {str(k): float(x) for k, x in content.get("held", {}).items()}
-            step = _numbers("timestep", [content["timestep"]], none=np.nan)
+            own |= {
+                name: _numbers(name, content.get(name, [])).reshape(-1, width)
+                for name, width in _ROWS.items()
+            }
+            (step,) = _numbers("timestep", [content["timestep"]], none=np.nan)
             return cls(
                 name=content["name"],
                 path=Path(content["path"]).name,  # relative to the model's folder
                 chain=Chain(joints=joints, revolute=np.array(turning), **arrays),
+                timestep=float(step),
+                held={str(k): float(x) for k, x in content.get("held", {}).items()},
                 **own,
-                timestep=float(step[0]),
-                **{
-                    name: _numbers(name, content.get(name, [])).reshape(-1, width)
-                    for name, width in _ROWS.items()
-                },
-                held=held,
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise RobotError(f"not a saved robot: {error!r}") from error
@@ -319,13 +318,12 @@ class Robot:
         return digest.hexdigest()[:16]
 
 
-def _plain(values: Any) -> Any:
-    if isinstance(values, np.ndarray):
-        finite = values.astype(object)
-        if values.dtype == float:
-            finite[~np.isfinite(values)] = None
-        return finite.tolist()
-    return list(values)
+def _plain(values: Any) -> list[Any]:
+    """Lists for JSON, with ``None`` for what is not finite."""
+    found = np.array(values, dtype=object)
+    if isinstance(values, np.ndarray) and values.dtype == float:
+        found[~np.isfinite(values)] = None
+    return list(found.tolist())
 
 
 def _numbers(name: str, values: Any, *, none: float | None = None) -> Array:
@@ -336,8 +334,3 @@ def _numbers(name: str, values: Any, *, none: float | None = None) -> Array:
     if found.dtype.kind not in "if":
         raise RobotError(f"{name} holds more than numbers")
     return found.astype(float)
-
-
-def _none(name: str) -> float:
-    """Value of a limit or a gain that is ``None``."""
-    return np.nan if name in _SERVO else -np.inf if name == "q_min" else np.inf

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array
@@ -37,8 +38,6 @@ _ELEMENTS = {
 
 def check_modelled(robot: Robot, model: Any) -> None:
     """Refuse a robot whose torque differs from that of its MuJoCo model."""
-    import mujoco
-
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
     model.dof_frictionloss[:] = 0.0
@@ -69,8 +68,6 @@ def check_modelled(robot: Robot, model: Any) -> None:
 
 def _torque(model: Any, index: list[int], states: Array, home: Array) -> Array:
     """Inverse dynamics by MuJoCo, shape (samples, n), [N·m]."""
-    import mujoco
-
     data = mujoco.MjData(model)
     dofs, at = model.jnt_dofadr[index], model.jnt_qposadr[index]
     found = []

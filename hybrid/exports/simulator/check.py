@@ -20,12 +20,7 @@ from hybrid.signals import Motion
 def gaps(
     model: DynamicModel, file: str | Path, motions: Sequence[Motion]
 ) -> dict[str, Array]:
-    """RMS torque error of a model and of simulators while a joint moves.
-
-    Args:
-        model: A model; ``model.robot`` is the original simulator.
-        file: The simulator that was exported from it, ``.xml`` or ``.urdf``.
-        motions: Motions with torque.
+    """RMS torque error of a model, its simulator and the exported one, if joints move.
 
     Returns:
         RMS of ``as it was``, ``exported`` and ``model``, shape (n,), [N·m].
@@ -49,12 +44,8 @@ def gaps(
 def file_torque(file: str | Path | Robot, model: DynamicModel, motion: Motion) -> Array:
     """Inverse dynamics of a simulator along a motion, shape (N, n), [N·m].
 
-    For an MJCF file, MuJoCo itself computes it, including tendons.
-
-    Args:
-        file: File of the simulator, or its arm.
-        model: A model of the same arm.
-        motion: Motion of N samples.
+    For an MJCF file, MuJoCo itself computes it, including tendons. The model, of the
+    same arm, says which joints it has.
     """
     joints, held = model.robot.joints, dict(model.robot.held)
     if not isinstance(file, Robot) and Path(file).suffix in (".xml", ".mjcf"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -65,17 +65,9 @@ class Plan:
 def plan(
     robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
 ) -> Plan:
-    """Decide how a file of an arm expresses effects.
-
-    Args:
-        robot: The arm with its new links, rotors, friction and springs.
-        effects: Further effects.
-        kind: ``mjcf`` or ``urdf``.
-        motions: Motions with the speeds at which friction is fitted; by default a
-            random one within the arm's limits.
-    """
-    n, inertial = robot.size, robot.chain.inertial.copy()
-    gravity = robot.chain.gravity.copy()
+    """Decide how a file of an arm expresses it and further effects."""
+    n, mjcf = robot.size, kind == "mjcf"
+    inertial, gravity = robot.chain.inertial, robot.chain.gravity
     acting = declared_effects(replace(robot, knee=np.zeros(n)))
     for effect in effects:
         rigid = effect.rigid_change(n, robot.chain.gravity)
@@ -86,54 +78,41 @@ def plan(
     values, others = split_effects(acting, JOINT_FIELDS[kind], n)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
     friction = [effect for effect in others if is_friction(effect)]
-    robot, friction = with_curves(robot, friction, kind == "mjcf")
-    moved = replace(robot, chain=chain)
-    fitted = _fitted_friction(moved, friction, values, kind, motions)
+    robot, friction = with_curves(robot, friction, mjcf)
+    fitted = _fitted_friction(
+        replace(robot, chain=chain), friction, values, kind, motions
+    )
     rest = [effect for effect in others if not is_friction(effect)]
+    ripples = [e for e in rest if mjcf and isinstance(e, TorqueRipple)]
+    rotors = [e for e in rest if mjcf and isinstance(e, TransmissionCoupling)]
+    motors = [e for e in rest if mjcf and e.actuator]
+    known: list[Effect] = [*ripples, *rotors, *motors]
+    shaped = [
+        e for e in rest if mjcf and overrides(e, "edit_spec")
+        and not e.fields and e not in known
+    ]  # fmt: skip
+    coupled, below = coupled_rows(rotors)
+    rows = [(e.joints[0], *e.gain_values, e.values["periods"]) for e in ripples]
+    ripple = np.array(rows).reshape(-1, 4)
+    arm = replace(robot, chain=chain, ripple=ripple, coupled=coupled)
+    new = _with_fields(arm, values, fitted)
+    error = [*_friction_error(friction, values, fitted, n), *_ripple_error(ripples)]
+    return Plan(
+        change=Edit(new, drive_changes(motors), [e.edit_spec for e in shaped]),
+        friction=fitted,
+        missing=(*(e for e in rest if e not in known and e not in shaped), *below),
+        corrections=tuple(error),
+    )
+
+
+def drive_changes(effects: Sequence[Effect]) -> dict[int, Actuator]:
+    """Changes of the actuator of each joint by effects."""
     drives = dict[int, Actuator]()
-    structure, own = [], _Rows()
-    if kind == "mjcf":
-        own, rest = _rows(rest)
-        for effect in [e for e in rest if e.actuator]:
+    for effect in effects:
+        if effect.actuator:
             (j,) = effect.joints
             drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
-            rest.remove(effect)
-        shaped = [e for e in rest if overrides(e, "edit_spec") and not e.fields]
-        structure = [e.edit_spec for e in shaped]
-        rest = [e for e in rest if e not in shaped]
-    arm = replace(robot, chain=chain, ripple=own.ripple, coupled=own.coupled)
-    new = _with_fields(arm, values, fitted)
-    corrections = *_friction_error(friction, values, fitted, n), *own.error
-    missing = *rest, *own.below
-    return Plan(Edit(new, drives, structure), fitted, missing, corrections)
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """Ripples and coupled rotors as rows of an arm.
-
-    Attributes:
-        ripple: See :attr:`.Robot.ripple`.
-        coupled: See :attr:`.Robot.coupled`.
-        below: Gains of couplings that are below zero.
-        error: True ripples less those of the arm.
-    """
-
-    ripple: Array = field(default_factory=lambda: np.zeros((0, 4)))
-    coupled: Array = field(default_factory=lambda: np.zeros((0, 5)))
-    below: Sequence[Effect] = ()
-    error: Sequence[Effect] = ()
-
-
-def _rows(effects: Sequence[Effect]) -> tuple[_Rows, list[Effect]]:
-    """Separate effects that are rows of an arm from others."""
-    ripples = [e for e in effects if isinstance(e, TorqueRipple)]
-    rotors = [e for e in effects if isinstance(e, TransmissionCoupling)]
-    rows = [(e.joints[0], *e.gain_values, e.values["periods"]) for e in ripples]
-    coupled, below = coupled_rows(rotors)
-    error = tuple(_ripple_error(ripples))
-    rest = [e for e in effects if e not in ripples and e not in rotors]
-    return _Rows(np.array(rows).reshape(-1, 4), coupled, below, error), rest
+    return drives
 
 
 def _fitted_friction(

@@ -81,14 +81,10 @@ def ranges(
 ) -> Ranges:
     """Intervals and correlations of parameters, from draws of the posterior.
 
-    Args:
-        model: An identified model with physically consistent links.
-        seed: Seed or generator.
-        kind: ``mjcf`` or ``urdf``, which says what parameters the simulator has.
-        draws: Number of draws.
+    The kind, ``mjcf`` or ``urdf``, says what parameters the simulator has.
 
     Raises:
-        HybridError: The model has no such links, or was saved without a covariance.
+        HybridError: See :func:`.sample`.
     """
     drawn = sample(model, draws, seed)
     motions = (usual_motion(model),)

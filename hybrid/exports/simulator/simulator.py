@@ -124,7 +124,7 @@ def build_simulator(
     if lacks:
         lines = [f"Not in this file, or only nearly: {xml_comment(x)}." for x in lacks]
         comment = "\n     ".join(lines)
-        document.insert(document.tags[0].start, f"<!-- {comment} -->\n")
+        document.insert_before(document.root, f"<!-- {comment} -->\n")
     return Simulator(
         text=document.edited(),
         original=document.content,

@@ -21,6 +21,7 @@ from hybrid.exports.simulator.model import (
     model_simulator,
     usual_motion,
 )
+from hybrid.exports.simulator.plan import drive_changes
 from hybrid.exports.simulator.ranges import Ranges, ranges
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
@@ -123,11 +124,7 @@ def isaac_lab(
     """Actuator configuration for Isaac Lab, and notes on what it lacks."""
     bare = replace(model, robot=replace(model.robot, path=""))  # numbers, no shapes
     edited = model_simulator(bare, kind="urdf", motions=motions)
-    robot, drives = edited.robot, dict[int, Actuator]()
-    for effect in edited.rest:
-        if effect.actuator:
-            (j,) = effect.joints
-            drives[j] = drives.get(j, Actuator()).and_then(effect.actuator)
+    robot, drives = edited.robot, drive_changes(edited.rest)
     new = [drives.get(j, Actuator()) for j in range(robot.size)]
     known = model.robot.timestep
     step = known if math.isfinite(known) else _STEP
@@ -143,8 +140,7 @@ def isaac_lab(
     }  # fmt: skip
     fields: dict[str, Any] = {
         name: _by_joint(robot.joints, x) for name, x in table.items()
-    }
-    fields |= {"min_delay": math.floor(delay), "max_delay": math.ceil(delay)}
+    } | {"min_delay": math.floor(delay), "max_delay": math.ceil(delay)}
     expressed = {"latency", "limit", "stiffness", "damping"}
     notes = tuple(
         note
@@ -217,10 +213,10 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> tuple[str, ...
     Returns:
         What MJX on JAX does not take.
     """
-    found = ranges(model, np.random.default_rng(0), draws=_DRAWS)
+    found = ranges(model, draws=_DRAWS)
     nominal = fields_of_model(model, (usual_motion(model),))
     # Isaac Lab has one dry and one viscous friction, as URDF has.
-    plain = ranges(model, np.random.default_rng(0), kind="urdf", draws=_DRAWS)
+    plain = ranges(model, kind="urdf", draws=_DRAWS)
     names = "damping", "quadratic", "cubic", "frictionloss"
     values = {x: getattr(nominal, x) for x in names}
     values["armature"] = nominal.chain.armature

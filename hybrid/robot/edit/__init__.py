@@ -1,1 +1,1 @@
-"""Change single numbers in MJCF and URDF files."""
+"""Find the tags of MJCF and URDF files, and change single numbers in them."""

@@ -5,47 +5,44 @@ from __future__ import annotations
 import html
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
+import mujoco
 import numpy as np
 
 from hybrid.errors import RobotError
+from hybrid.robot.edit.markup import markup, read_markup
 from hybrid.robot.mujoco_model import compile_spec
 from hybrid.robot.robot import Robot
 
-_TAG = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")
 _VALUE = r"""(\s+{}\s*=\s*)("[^"]*"|'[^']*')"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tag:
-    """An element of the file; positions are in bytes.
+    """An element of the file.
 
     Attributes:
         path: Names of its ancestors, outermost first, and its own name.
-        parents: Positions of the start tags of its ancestors.
-        start: Start of its start tag.
-        end: End of its start tag.
-        close: Start of its end tag; ``end`` if it has none.
-        after: End of the element.
-        attributes: Attributes as text.
+        parent: The element around it; None for the outermost.
+        place: Place of its start tag in the pieces of the document.
+        attributes: Attributes in the file, as text.
     """
 
     path: tuple[str, ...]
-    parents: tuple[int, ...]
-    start: int
-    end: int
-    close: int
-    after: int
+    parent: Tag | None
+    place: int
     attributes: dict[str, str]
 
 
 class Document:
     """A robot file that is edited.
+
+    It is cut into pieces: texts at even places, and tags at odd ones. An element
+    without content has an end tag without letters.
 
     Args:
         content: Content of the file.
@@ -54,16 +51,43 @@ class Document:
 
     def __init__(self, content: bytes, where: str | Path) -> None:
         self.content, self.where = content, where
-        self.tags = list(tags(content, where))
-        self._renamed: dict[int, str] = {}
-        self._set: dict[int, dict[str, str | None]] = {}
-        self._replaced: list[tuple[int, int, str]] = []  # start, end, new text
+        self.tags: list[Tag] = []
+        self._pieces: list[str] = []
+        self._ends: dict[Tag, int] = {}  # place of the end tag of each element
+        self._inserted: dict[int, str] = {}  # texts before pieces
+        text, at = read_markup(content), 0
+        opened: list[Tag] = []
+        for x in markup(text, where):
+            self._pieces += [text[at : x.start], text[x.start : x.end]]
+            at, place = x.end, len(self._pieces) - 1
+            if x.closes:
+                if not opened or opened[-1].path[-1] != x.name:
+                    raise RobotError(
+                        f"{where}: not readable XML (</{x.name}> closes no element)"
+                    )
+                self._ends[opened.pop()] = place
+                continue
+            around = opened[-1] if opened else None
+            path = (*(around.path if around else ()), x.name)
+            self.tags.append(Tag(path, around, place, x.attributes))
+            opened.append(self.tags[-1])
+            if x.empty:
+                self._pieces += ["", ""]
+                self._ends[opened.pop()] = place + 2
+        self._pieces.append(text[at:])
+        if opened or not self.tags:
+            raise RobotError(f"{where}: not readable XML (it ends too early)")
 
     @classmethod
     def load(cls, path: str | Path) -> Document:
         """Read a file, and replace each ``include`` by the included content."""
         path = Path(path)
         return cls(_with_included(path, path.parent, ()), path)
+
+    @property
+    def root(self) -> Tag:
+        """The outermost element."""
+        return self.tags[0]
 
     def find(self, *path: str, **attributes: str) -> list[Tag]:
         """Elements whose path ends with ``path``, and that have these attributes."""
@@ -76,10 +100,7 @@ class Document:
 
     def children(self, tag: Tag, name: str = "") -> list[Tag]:
         """Children of an element: those of a name, or all."""
-        return [
-            t for t in self.tags if t.parents[-1:] == (tag.start,)
-            and (not name or t.path[-1] == name)
-        ]  # fmt: skip
+        return [x for x in self.tags if x.parent is tag and name in ("", x.path[-1])]
 
     def set(
         self,
@@ -90,52 +111,9 @@ class Document:
         name: str = "",
     ) -> None:
         """Set attributes of an element, drop some, and rename it if a name is given."""
-        own = self._set.setdefault(tag.start, {})
-        own |= dict.fromkeys(drop) | {key: text_of(x) for key, x in given.items()}
-        if name:
-            self._renamed[tag.start] = name
-
-    def insert(self, at: int, text: str) -> None:
-        """Insert text before the byte ``at``."""
-        self._replaced.append((at, at, text))
-
-    def replace(self, tag: Tag, text: str) -> None:
-        """Replace an element with its content."""
-        self._replaced.append((tag.start, tag.after, text))
-
-    def insert_child(self, tag: Tag, text: str) -> None:
-        """Insert an element as the first child of another."""
-        children = self.children(tag)
-        if children:
-            gap = self.content[tag.end : children[0].start].decode(errors="replace")
-            indent = re.findall(r"\n[ \t]*", gap)
-            text = (indent[0] if indent else "") + text
-        self.insert(tag.end, text)
-
-    def insert_after(self, tag: Tag, text: str) -> None:
-        """Insert an element after another."""
-        line = self.content[: tag.start].rpartition(b"\n")[2]
-        indent = line[: len(line) - len(line.lstrip())].decode()
-        self.insert(tag.after, f"\n{indent}{text}")
-
-    def edited(self) -> bytes:
-        """Content of the file with all changes."""
-        edits = list(self._replaced)
-        for tag in self.tags:
-            if tag.start in self._set:
-                edits.append((tag.start, tag.end, self._changed(tag)))
-            if tag.start in self._renamed and tag.close > tag.end:
-                closing = f"</{self._renamed[tag.start]}>"
-                edits.append((tag.close, tag.after, closing))
-        content = self.content
-        # Texts at the same position keep the order of their insertion.
-        for start, end, text in sorted(reversed(edits), key=lambda x: -x[0]):
-            content = content[:start] + text.encode() + content[end:]
-        return content
-
-    def _changed(self, tag: Tag) -> str:
-        text = self.content[tag.start : tag.end].decode()
-        for key, value in self._set[tag.start].items():
+        text = self._pieces[tag.place]
+        new = {key: text_of(x) for key, x in given.items()}
+        for key, value in (dict.fromkeys(drop) | new).items():
             found = re.search(_VALUE.format(re.escape(key)), text)
             if found is not None:
                 word = "" if value is None else f'{found[1]}"{value}"'
@@ -143,8 +121,65 @@ class Document:
             elif value is not None:
                 body = text.removesuffix(">").removesuffix("/").rstrip()
                 text = f'{body} {key}="{value}"{text[len(body) :]}'
-        old, new = tag.path[-1], self._renamed.get(tag.start, tag.path[-1])
-        return f"<{new}{text.removeprefix(f'<{old}')}"
+        if name:
+            text = re.sub(r"^<[^\s/>]+", f"<{name}", text)
+            if self._pieces[self._ends[tag]]:
+                self._pieces[self._ends[tag]] = f"</{name}>"
+        self._pieces[tag.place] = text
+
+    def set_child(
+        self, tag: Tag, name: str, given: Mapping[str, Any], *, drop: Iterable[str] = ()
+    ) -> None:
+        """Set attributes of the last child of a name, or insert one with them."""
+        own = self.children(tag, name)
+        if own:
+            self.set(own[-1], given, drop=drop)
+        else:
+            self.insert_child(tag, element(name, given))
+
+    def replace(self, tag: Tag, text: str) -> None:
+        """Replace an element with its content."""
+        self._pieces[tag.place] = text
+        for place in range(tag.place + 1, self._ends[tag] + 1):
+            self._pieces[place] = ""
+            self._inserted.pop(place, "")
+
+    def insert_before(self, tag: Tag, text: str) -> None:
+        """Insert text before an element."""
+        self._insert(tag.place, text)
+
+    def append(self, tag: Tag, text: str) -> None:
+        """Insert text before the end tag of an element."""
+        self._insert(self._ends[tag], text)
+
+    def insert_child(self, tag: Tag, text: str) -> None:
+        """Insert an element as the first child of another."""
+        if not self._pieces[self._ends[tag]]:
+            head = self._pieces[tag.place].removesuffix("/>").rstrip()
+            self._pieces[tag.place] = f"{head}>"
+            self._pieces[self._ends[tag]] = f"</{tag.path[-1]}>"
+        if self.children(tag):
+            indent = re.findall(r"\n[ \t]*", self._pieces[tag.place + 1])
+            text = (indent[0] if indent else "") + text
+        self._insert(tag.place + 1, text)
+
+    def insert_after(self, tag: Tag, text: str) -> None:
+        """Insert an element after another."""
+        line = "".join(self._pieces[: tag.place]).rpartition("\n")[2]
+        indent = line[: len(line) - len(line.lstrip())]
+        self._insert(self._ends[tag] + 1, f"\n{indent}{text}")
+
+    def inside(self, tag: Tag) -> str:
+        """Content of an element."""
+        return "".join(self._pieces[tag.place + 1 : self._ends[tag]]).strip()
+
+    def edited(self) -> bytes:
+        """Content of the file with all changes."""
+        text = (self._inserted.get(k, "") + x for k, x in enumerate(self._pieces))
+        return "".join(text).encode("utf-8", "surrogateescape")
+
+    def _insert(self, place: int, text: str) -> None:
+        self._inserted[place] = self._inserted.get(place, "") + text
 
 
 def model_of(document: Document, robot: Robot) -> Any:
@@ -154,8 +189,6 @@ def model_of(document: Document, robot: Robot) -> Any:
 
 def spec_of(document: Document, robot: Robot) -> Any:
     """Parse the document as a MuJoCo spec, in the folder of the arm's file."""
-    import mujoco
-
     try:
         spec = mujoco.MjSpec.from_string(document.edited().decode())
     except ValueError as error:
@@ -167,10 +200,9 @@ def spec_of(document: Document, robot: Robot) -> Any:
 
 def joint_tag(document: Document, name: str) -> Tag:
     """Find the element of a joint."""
-    for kind in ("joint", "freejoint"):
-        for tag in document.find(kind, name=name):
-            if "worldbody" in tag.path:
-                return tag
+    for tag in document.find("joint", name=name):
+        if "worldbody" in tag.path:
+            return tag
     raise RobotError(
         f"{document.where}: joint {name!r} is not in the file; valid are joints with "
         "names, outside of replicate and attach"
@@ -199,42 +231,6 @@ def relative_path(file: str, home: Path, folder: Path) -> str:
     return Path(os.path.relpath(home / file, folder)).as_posix()
 
 
-def tags(content: bytes, path: str | Path) -> Iterator[Tag]:
-    """Elements in the order of the file; prefixes need not be declared."""
-    opened: list[tuple[tuple[str, ...], tuple[int, ...], int, int, dict[str, str]]] = []
-    closed: dict[int, tuple[int, int]] = {}
-    names: list[str] = []
-    starts: list[int] = []
-    parser = expat.ParserCreate()
-
-    def end_of(start: int) -> int:
-        match = _TAG.match(content, start)
-        assert match is not None  # expat has just read it
-        return match.end()
-
-    def open_tag(name: str, attributes: dict[str, str]) -> None:
-        start = parser.CurrentByteIndex
-        names.append(name)
-        end = end_of(start)
-        opened.append((tuple(names), tuple(starts), start, end, dict(attributes)))
-        starts.append(start)
-
-    def close_tag(_: str) -> None:
-        names.pop()
-        start, at = starts.pop(), parser.CurrentByteIndex
-        end = end_of(start)
-        empty = content[end - 2 : end] == b"/>"
-        closed[start] = (end, end) if empty else (at, end_of(at))
-
-    parser.StartElementHandler, parser.EndElementHandler = open_tag, close_tag
-    try:
-        parser.Parse(content, True)
-    except expat.ExpatError as error:
-        raise RobotError(f"{path}: not readable XML ({error})") from error
-    for own, parents, start, end, attributes in opened:
-        yield Tag(own, parents, start, end, *closed[start], attributes)
-
-
 def _with_included(path: Path, home: Path, around: tuple[Path, ...]) -> bytes:
     """Content of a file and of the files that it includes, relative to ``home``."""
     if path in around:
@@ -245,12 +241,10 @@ def _with_included(path: Path, home: Path, around: tuple[Path, ...]) -> bytes:
         raise RobotError(f"{path}: cannot be read ({error.strerror})") from error
     if b"<include" not in content:
         return content
-    for tag in reversed(list(tags(content, path))):
-        if tag.path[-1] != "include" or "file" not in tag.attributes:
-            continue
-        file = home / tag.attributes["file"]
-        inner = _with_included(file, home, (*around, path))
-        root = next(tags(inner, file))
-        inside = inner[root.end : root.close].strip()
-        content = content[: tag.start] + inside + content[tag.after :]
-    return content
+    document = Document(content, path)
+    for tag in document.tags:
+        if tag.path[-1] == "include" and "file" in tag.attributes:
+            file = home / tag.attributes["file"]
+            inner = Document(_with_included(file, home, (*around, path)), file)
+            document.replace(tag, inner.inside(inner.root))
+    return document.edited()

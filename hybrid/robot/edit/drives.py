@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from hybrid.robot.actuators import drives_of
@@ -69,8 +70,6 @@ def _edit(
     new: Actuator,
 ) -> Iterator[str]:
     """Change one actuator; yield the changes that it cannot express."""
-    import mujoco
-
     if new.latency:
         steps = math.ceil(new.latency / model.opt.timestep) + 1
         delay = {"delay": new.latency, "nsample": steps, "interp": "linear"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array
@@ -26,11 +27,7 @@ def set_tendon(
 ) -> None:
     """Write forces on the sum of one or two joints to a tendon.
 
-    Args:
-        document: An MJCF file.
-        joints: One or two joints.
-        step: Time step of the file, [s].
-        forces: ``armature``, ``damping``, ``frictionloss``, SI units at the joints.
+    They are ``armature``, ``damping`` and ``frictionloss``, in SI units at the joints.
     """
     hard = {"solreffriction": (2 * step, 1.0), **HARD}
     hard = hard if forces["frictionloss"] else {}
@@ -46,7 +43,7 @@ def set_tendon(
         head = element("fixed", named | forces | hard).replace("/>", ">")
         parts = [element("joint", {"joint": x, "coef": 1.0}) for x in joints]
         text = f"<tendon>{head}{''.join(parts)}</fixed></tendon>"
-        document.insert(document.tags[0].close, f"  {text}\n")
+        document.append(document.root, f"  {text}\n")
 
 
 def _tendons_on(
@@ -112,7 +109,7 @@ def _insert_motor(
     motor = {"input": "none", "motorconst": 1.0, "resistance": 1e12}
     given = {"name": f"{joint}/{name}", "joint": joint, **motor, **friction}
     text = f"  <actuator>{element('dcmotor', given)}</actuator>\n"
-    document.insert(document.tags[0].close, text)
+    document.append(document.root, text)
 
 
 def _set_keyframe_bristles(document: Document, model: Any, new: Robot) -> None:
@@ -149,8 +146,6 @@ def _least_inertia(document: Document, old: Robot, new: Robot) -> Array:
 
     It is torque per acceleration, with all other joints free.
     """
-    import mujoco
-
     model = model_of(document, old)
     index = [joint_names(model).index(x) for x in new.joints]
     at, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]

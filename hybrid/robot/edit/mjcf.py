@@ -10,11 +10,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.robot.actuators import drives_of
 from hybrid.robot.build import simulable, spec_text
-from hybrid.robot.edit.bodies import Part, changed_parts, parts_of
+from hybrid.robot.edit.bodies import changed_bodies
 from hybrid.robot.edit.change import Edit, Structure
 from hybrid.robot.edit.document import (
     Document,
@@ -37,6 +36,7 @@ from hybrid.robot.edit.extra_friction import (
 from hybrid.robot.mjcf import joint_names, mujoco_tree
 from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
+from hybrid.robot.tree import Body
 
 _ORIENTATIONS = ("quat", "diaginertia", "axisangle", "euler", "xyaxes", "zaxis")
 _LIMITS = ("velocity_limit", "acceleration_limit")
@@ -54,16 +54,16 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """
     model = model_of(document, old)
     new = change.robot
-    _gravity(document, model, new.chain.gravity - old.chain.gravity)
-    parts = parts_of(old, mujoco_tree(model, document.where))
-    for part in changed_parts(parts, old, new):
-        _inertial(document, _body(document, model, part), part)
+    turned = new.chain.gravity - old.chain.gravity
+    if turned.any():
+        given = {"gravity": model.opt.gravity + turned}
+        document.set_child(document.root, "option", given)
+    tree = mujoco_tree(model, document.where)
+    for number, body in changed_bodies(tree, old, new):
+        _inertial(document, _body_tag(document, model, number), body)
     replaced = replaced_friction(model, old, new)
     for j in range(new.size):
-        changed = _changed_fields(old, new, j)
-        changed |= {"frictionloss"} if replaced[j] else set()
-        if changed:
-            _joint(document, model, old, new, j, changed)
+        _joint(document, model, old, new, j, bool(replaced[j]))
     notes = edit_drives(document, model, new.joints, change.drives)
     if change.structure:
         _structure(document, model, new, change.structure)
@@ -102,59 +102,44 @@ def move_assets(document: Document, home: Path, folder: Path) -> None:
         name: relative_path(given.get(name, both) or ".", home, folder)
         for name in ("meshdir", "texturedir")
     }
-    own = document.find("mujoco", "compiler")
-    if own:
-        document.set(own[-1], new)
-        for tag in own:
-            document.set(tag, {}, drop=("assetdir",))
-    else:
-        document.insert_child(document.tags[0], element("compiler", new))
+    document.set_child(document.root, "compiler", new)
+    for tag in document.find("mujoco", "compiler"):
+        document.set(tag, {}, drop=("assetdir",))
     for tag in document.tags:
         if tag.path[-1] == "model" and "file" in tag.attributes:
             file = relative_path(tag.attributes["file"], home, folder)
             document.set(tag, {"file": file})
 
 
-def _gravity(document: Document, model: Any, change: Array) -> None:
-    if not change.any():
-        return
-    given = {"gravity": model.opt.gravity + change}
-    own = document.find("mujoco", "option")
-    if own:
-        document.set(own[-1], given)
-    else:
-        document.insert_child(document.tags[0], element("option", given))
-
-
-def _body(document: Document, model: Any, part: Part) -> Tag:
+def _body_tag(document: Document, model: Any, number: int) -> Tag:
     """Find the element of a body by its name, its joint or its number."""
-    name = model.body(part.body).name
+    name = model.body(number).name
     bodies = [t for t in document.find("body") if t.path[1] == "worldbody"]
     if name and (found := [t for t in bodies if t.attributes.get("name") == name]):
         return found[0]
     if len(bodies) == model.nbody - 1:
-        return bodies[int(part.body) - 1]
-    first = int(model.body_jntadr[part.body])
+        return bodies[number - 1]
+    first = int(model.body_jntadr[number])
     joint = model.joint(first).name if first >= 0 else ""
     for tag in document.find("joint", name=joint) if joint else ():
-        return next(t for t in bodies if t.start in tag.parents[::-1])
+        around = tag.parent
+        while around and around not in bodies:
+            around = around.parent
+        if around:
+            return around
     raise RobotError(
-        f"{document.where}: body {name or part.body} cannot be found; valid are bodies "
+        f"{document.where}: body {name or number} cannot be found; valid are bodies "
         "with names, outside of replicate and attach"
     )
 
 
-def _inertial(document: Document, body: Tag, part: Part) -> None:
-    mass, center, inertia = simulable(*part.central)
+def _inertial(document: Document, tag: Tag, body: Body) -> None:
+    mass, center, inertia = simulable(*body)
     six = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     given = {"pos": center, "mass": mass, "fullinertia": six}
-    own = document.children(body, "inertial")
-    if own:
-        document.set(own[0], given, drop=_ORIENTATIONS)
-    else:
-        document.insert_child(body, element("inertial", given))
-    for tag in document.find("mujoco", "compiler", inertiafromgeom="true"):
-        document.set(tag, {"inertiafromgeom": "auto"})
+    document.set_child(tag, "inertial", given, drop=_ORIENTATIONS)
+    for compiler in document.find("mujoco", "compiler", inertiafromgeom="true"):
+        document.set(compiler, {"inertiafromgeom": "auto"})
 
 
 def turn_unit(document: Document, slides: bool) -> float:
@@ -165,64 +150,46 @@ def turn_unit(document: Document, slides: bool) -> float:
     return 1.0 if slides or angle == "radian" else 180.0 / np.pi
 
 
-def _changed_fields(old: Robot, new: Robot, j: int) -> set[str]:
-    changed = {
-        name
-        for name in ("damping", "quadratic", "cubic", "frictionloss", "stiffness")
-        if getattr(new, name)[j] != getattr(old, name)[j]
-    }
-    if new.stiffness[j] and new.springref[j] != old.springref[j]:
-        changed.add("stiffness")
-    if new.chain.armature[j] != old.chain.armature[j]:
-        changed.add("armature")
-    if bool(old.knee[j]) != bool(new.knee[j]):
-        changed.add("frictionloss")
-    return changed
-
-
 def _joint(
-    document: Document, model: Any, old: Robot, new: Robot, j: int, changed: set[str]
+    document: Document, model: Any, old: Robot, new: Robot, j: int, motors: bool
 ) -> None:
-    """Change rotor, friction and spring of a joint."""
-    tag, given = joint_tag(document, new.joints[j]), {}
-    number = joint_names(model).index(new.joints[j])
+    """Change rotor, friction and spring of a joint, also if its motors are replaced."""
+    name, step, given = new.joints[j], model.opt.timestep, dict[str, Any]()
+    number = joint_names(model).index(name)
     of_drives = {
-        name: sum(
-            gear**2 * getattr(model, f"actuator_{name}")[a]
+        field: sum(
+            gear**2 * getattr(model, f"actuator_{field}")[a]
             for a, joint, gear in drives_of(model) if joint == number
         )
-        for name in ("armature", "damping")
+        for field in ("armature", "damping")
     }  # fmt: skip
-    if "armature" in changed:
+
+    def changed(*fields: str) -> bool:
+        return any(getattr(new, x)[j] != getattr(old, x)[j] for x in fields)
+
+    if new.chain.armature[j] != old.chain.armature[j]:
         given["armature"] = new.chain.armature[j] - of_drives["armature"]
-    if changed & {"damping", "quadratic", "cubic"}:
-        friction = [
-            new.damping[j] - of_drives["damping"],
-            new.quadratic[j],
-            new.cubic[j],
-        ]
+    if changed("damping", "quadratic", "cubic"):
+        linear = new.damping[j] - of_drives["damping"]
+        friction = [linear, new.quadratic[j], new.cubic[j]]
         nonlinear = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
-        given["damping"] = friction if nonlinear else friction[0]
-    if "frictionloss" in changed:
-        dry = {
-            "frictionloss": new.frictionloss[j],
-            "solreffriction": (2 * model.opt.timestep, 1.0),
-            **HARD,
-        }
-        given |= {} if new.knee[j] else dry
-        level = new.frictionloss[j] if new.knee[j] else 0.0
-        set_tendon(document, [new.joints[j]], model.opt.timestep, frictionloss=level)
-    if "stiffness" in changed:
-        given["stiffness"] = new.stiffness[j]
+        given["damping"] = friction if nonlinear else linear
+    if motors or changed("frictionloss") or bool(old.knee[j]) != bool(new.knee[j]):
+        dry, hard = new.frictionloss[j], {"solreffriction": (2 * step, 1.0), **HARD}
+        given |= {} if new.knee[j] else {"frictionloss": dry, **hard}
+        set_tendon(document, [name], step, frictionloss=dry if new.knee[j] else 0.0)
+    if changed("stiffness") or (new.stiffness[j] and changed("springref")):
         unit = turn_unit(document, not new.chain.revolute[j])
+        given["stiffness"] = new.stiffness[j]
         given["springref"] = new.springref[j] * unit
-    for name in ("armature", "damping"):
-        if np.min(given.get(name, 0.0)) < 0 and of_drives[name]:
+    for field, x in of_drives.items():
+        if np.min(given.get(field, 0.0)) < 0 and x:
             raise RobotError(
-                f"{document.where}: {name} of joint {new.joints[j]!r} is that of its "
-                f"actuator, which is more than was found; valid is {name} at the joint"
+                f"{document.where}: {field} of joint {name!r} is that of its "
+                f"actuator, which is more than was found; valid is {field} at the joint"
             )
-    document.set(tag, given)
+    if given:
+        document.set(joint_tag(document, name), given)
 
 
 def _structure(
@@ -248,7 +215,7 @@ def _structure(
     for section in after:
         if section.tag not in known and section.tag != "default":
             text = ElementTree.tostring(section, encoding="unicode").strip()
-            document.insert(document.tags[0].close, f"  {text}\n")
+            document.append(document.root, f"  {text}\n")
     _extend_keyframes(document, model, sorted(added, reverse=True))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -12,7 +13,7 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot.chain import Chain
-from hybrid.robot.edit.document import Document, element
+from hybrid.robot.edit.document import Document
 from hybrid.robot.mjcf import joint_frame, matrix
 from hybrid.robot.mujoco_model import compile_without_assets
 from hybrid.robot.urdf import roll_pitch_yaw
@@ -26,11 +27,6 @@ _UNMOVED = 1e-12  # m or rad; a smaller change is not written
 
 def write_placements(robot: Robot, chain: Chain, path: str | Path) -> None:
     """Write a copy of the robot's file with the joint placements of another chain.
-
-    Args:
-        robot: An arm that was read from a URDF or MJCF file.
-        chain: The same joints with other ``rotation`` and ``translation``.
-        path: Path of the new file.
 
     Raises:
         RobotError: The file is missing, or cannot express a joint's placement.
@@ -67,17 +63,12 @@ def _edit_urdf(document: Document, changes: dict[str, tuple[Array, Array]]) -> N
         turn, shift = changes[joint]
         R = Rotation.from_euler("xyz", rpy).as_matrix()
         given = {"xyz": xyz + R @ shift, "rpy": roll_pitch_yaw(R @ turn)}
-        if origin:
-            document.set(origin[0], given)
-        else:
-            document.insert_child(tag, element("origin", given))
+        document.set_child(tag, "origin", given)
 
 
 def _edit_mjcf(
     document: Document, robot: Robot, changes: dict[str, tuple[Array, Array]]
 ) -> None:
-    import mujoco
-
     model, _ = compile_without_assets(robot.path)
     for joint, (turn, shift) in changes.items():
         found = document.find("body", "joint", name=joint)
@@ -94,8 +85,9 @@ def _edit_mjcf(
         turned = own @ turn @ own.T
         position = model.body_pos[body] + B @ (at + own @ shift - turned @ at)
         quaternion = Rotation.from_matrix(B @ turned).as_quat(scalar_first=True)
-        tag = next(x for x in document.tags if x.start == found[0].parents[-1])
-        document.set(tag, {"pos": position, "quat": quaternion}, drop=_ORIENTATIONS)
+        around = found[0].parent
+        assert around is not None  # the body
+        document.set(around, {"pos": position, "quat": quaternion}, drop=_ORIENTATIONS)
 
 
 def _numbers(text: str) -> Array:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from hybrid.errors import HybridWarning, RobotError
-from hybrid.robot.build import spec_text
+from hybrid.robot.build import add_motors, mjcf_skeleton, spec_text
 from hybrid.robot.edit.document import Document
 from hybrid.robot.edit.mjcf import check_mjcf
-from hybrid.robot.edit.skeleton import add_motors, mjcf_skeleton
 from hybrid.robot.edit.urdf import check_urdf
 from hybrid.robot.edit.urdf_from_mjcf import urdf_from_mjcf
 from hybrid.robot.read import expanded
@@ -43,27 +44,29 @@ def source(robot: Robot, kind: str) -> Source:
     express. For an arm without a file, the new file has links and joints only.
     """
     path = Path(robot.path)
-    suffix = path.suffix.lower()
-    exists, urdf = bool(robot.path) and path.is_file(), suffix in (".urdf", ".xacro")
+    exists, urdf = path.is_file(), path.suffix.lower() in (".urdf", ".xacro")
     if exists and (kind == "urdf") == urdf:
-        xacro = suffix == ".xacro"
-        document = (
-            Document(expanded(path).encode(), path) if xacro else Document.load(path)
-        )
+        document = _own_document(path)
         found = read(document, robot, kind)
         if found.fingerprint() != robot.fingerprint():
             raise RobotError(f"{path}: is of another arm than {robot.name!r}")
         return Source(document, found, True)
-    if exists and urdf and (text := _converted(robot)):
-        document = Document(text.encode(), path)
-        return Source(document, read(document, robot, kind), True)
-    if exists and not urdf:
+    text, notes, own = "", tuple[str, ...](), exists
+    if exists and urdf:
+        text = _converted(robot)
+    elif exists:
         text, notes = urdf_from_mjcf(robot)
-        document = Document(text.encode(), path)
-        return Source(document, read(document, robot, kind), True, notes)
-    text = mjcf_skeleton(robot) if kind == "mjcf" else urdf_from_mjcf(robot)[0]
+    if not text:
+        own, robot = False, replace(robot, held={})
+        text = mjcf_skeleton(robot) if kind == "mjcf" else urdf_from_mjcf(robot)[0]
     document = Document(text.encode(), path)
-    return Source(document, read(document, replace(robot, held={}), kind), False)
+    return Source(document, read(document, robot, kind), own, notes)
+
+
+def _own_document(path: Path) -> Document:
+    if path.suffix.lower() == ".xacro":
+        return Document(expanded(path).encode(), path)
+    return Document.load(path)
 
 
 def read(document: Document, robot: Robot, kind: str) -> Robot:
@@ -75,15 +78,10 @@ def read(document: Document, robot: Robot, kind: str) -> Robot:
 
 def _converted(robot: Robot) -> str:
     """Convert a URDF file to MJCF; empty if MuJoCo does not read the same arm."""
-    import mujoco
-
+    path = Path(robot.path)
     try:
-        spec: Any
-        if Path(robot.path).suffix.lower() == ".xacro":
-            spec = mujoco.MjSpec.from_string(expanded(Path(robot.path)))
-            spec.modelfiledir = str(Path(robot.path).parent)
-        else:
-            spec = mujoco.MjSpec.from_file(robot.path)
+        spec: Any = mujoco.MjSpec.from_string(_own_document(path).content.decode())
+        spec.modelfiledir = str(path.parent)
         spec.compiler.discardvisual = False
         spec.compiler.fusestatic = False
         add_motors(spec, robot)

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.robot.edit.bodies import Part, changed_parts, parts_of
+from hybrid.robot.edit.bodies import changed_bodies
 from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, Tag, element, relative_path, text_of
 from hybrid.robot.robot import Robot
+from hybrid.robot.tree import Body
 from hybrid.robot.urdf import read_urdf, urdf_root, urdf_tree
 
 DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
@@ -24,12 +25,18 @@ def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     """
     new = change.robot
     tree = urdf_tree(urdf_root(document.content), document.where)
-    for part in changed_parts(parts_of(old, tree), old, new):
-        (link,) = document.find("robot", "link", name=part.body)
-        _inertial(document, link, part)
+    for name, body in changed_bodies(tree, old, new):
+        (link,) = document.find("robot", "link", name=name)
+        _inertial(document, link, body)
     for j, name in enumerate(new.joints):
         (joint,) = document.find("robot", "joint", name=name)
-        _friction(document, joint, old, new, j)
+        given = {
+            word: getattr(new, field)[j]
+            for word, field in (("damping", "damping"), ("friction", "frictionloss"))
+            if getattr(new, field)[j] != getattr(old, field)[j]
+        }
+        if given:
+            document.set_child(joint, "dynamics", given)
         if new.chain.armature[j] != old.chain.armature[j]:
             _rotor(document, name, float(new.chain.armature[j]))
     if np.abs(new.chain.gravity - old.chain.gravity).max() > 1e-6:
@@ -78,36 +85,13 @@ def rotor_text(joint: str, inertia: float) -> str:
     )
 
 
-def _inertial(document: Document, link: Tag, part: Part) -> None:
+def _inertial(document: Document, link: Tag, body: Body) -> None:
     own = document.children(link, "inertial")
     for inertial in own:
-        for name, given in _inertial_parts(*part.central).items():
-            children = document.children(inertial, name)
-            if children:
-                document.set(children[0], given)
-            else:
-                document.insert_child(inertial, element(name, given))
-    if own:
-        return
-    text = inertial_text(*part.central)
-    if link.end == link.after:
-        name = text_of(link.attributes["name"])
-        document.replace(link, f'<link name="{name}">{text}</link>')
-    else:
-        document.insert_child(link, text)
-
-
-def _friction(document: Document, joint: Tag, old: Robot, new: Robot, j: int) -> None:
-    given = {
-        word: getattr(new, name)[j]
-        for word, name in (("damping", "damping"), ("friction", "frictionloss"))
-        if getattr(new, name)[j] != getattr(old, name)[j]
-    }
-    own = document.children(joint, "dynamics")
-    if given and own:
-        document.set(own[0], given)
-    elif given:
-        document.insert_child(joint, element("dynamics", given))
+        for name, given in _inertial_parts(*body).items():
+            document.set_child(inertial, name, given)
+    if not own:
+        document.insert_child(link, inertial_text(*body))
 
 
 def _rotor(document: Document, joint: str, inertia: float) -> None:
@@ -119,18 +103,15 @@ def _rotor(document: Document, joint: str, inertia: float) -> None:
         for motor in document.children(drive, "actuator"):
             gear = document.children(motor, "drake:gear_ratio")
             ratio = float(gear[0].attributes["value"]) if gear else 1.0
-            own = document.children(motor, "drake:rotor_inertia")
-            value = {"value": inertia / ratio**2}
-            if own:
-                document.set(own[0], value)
-            else:
+            if not document.children(motor, "drake:rotor_inertia"):
                 _declare(document)
-                document.insert_child(motor, element("drake:rotor_inertia", value))
+            given = {"value": inertia / ratio**2}
+            document.set_child(motor, "drake:rotor_inertia", given)
             return
     _declare(document)
-    document.insert(document.tags[0].close, f"  {rotor_text(joint, inertia)}\n")
+    document.append(document.root, f"  {rotor_text(joint, inertia)}\n")
 
 
 def _declare(document: Document) -> None:
-    if not DRAKE.keys() <= document.tags[0].attributes.keys():
-        document.set(document.tags[0], DRAKE)
+    if not DRAKE.keys() <= document.root.attributes.keys():
+        document.set(document.root, DRAKE)

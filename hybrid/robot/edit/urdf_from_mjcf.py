@@ -6,16 +6,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
+from hybrid.robot.build import mjcf_skeleton
 from hybrid.robot.edit.document import element, text_of
-from hybrid.robot.edit.skeleton import mjcf_skeleton
 from hybrid.robot.edit.urdf import DRAKE, inertial_text
-from hybrid.robot.mjcf import joint_frame, joint_names, matrix
+from hybrid.robot.mjcf import joint_names, matrix, mujoco_tree
 from hybrid.robot.mujoco_model import compile_spec, spec_from_file
 from hybrid.robot.robot import Robot
+from hybrid.robot.tree import Node
 from hybrid.robot.urdf import roll_pitch_yaw
 
 _FIRST_HIDDEN = 3  # lowest group of geoms that MuJoCo does not show
@@ -37,8 +39,6 @@ def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     Returns:
         The URDF file, and what it lacks, in words.
     """
-    import mujoco
-
     path = Path(robot.path)
     if path.suffix.lower() in (".xml", ".mjcf") and path.is_file():
         spec = spec_from_file(path)
@@ -52,60 +52,78 @@ def urdf_from_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
 class _Writer:
     def __init__(self, model: Any, spec: Any, robot: Robot) -> None:
         self.model, self.spec, self.robot = model, spec, robot
-        self.names, self.joints = joint_names(model), list[str]()
-        self.bodies = [model.body(b).name or f"body_{b}" for b in range(model.nbody)]
-        # Position of each body in its last link, which has the same orientation.
-        self.shift = np.zeros((model.nbody, 3))
+        self.links, self.joints = list[str](), list[str]()
+        self.frames: list[tuple[str, Array]] = []  # of each node: link, position in it
         self.missing: dict[str, int] = {}
 
     def written(self) -> tuple[str, tuple[str, ...]]:
-        links = [text for b in range(self.model.nbody) for text in self._body(b)]
+        joints: list[Node] = []  # of the next body
+        for node in mujoco_tree(self.model, self.robot.path).nodes:
+            if node.joint:
+                joints.append(node)
+            else:
+                self._body(node, joints)
+                joints = []
         head = element("robot", {"name": self.robot.name, **DRAKE})
-        lines = [head.replace("/>", ">"), *links, *self.joints]
+        lines = [head.replace("/>", ">"), *self.links, *self.joints]
         counts = {word: getattr(self.model, n) for n, word in _MISSING.items()}
         counts = {word: n for word, n in {**counts, **self.missing}.items() if n}
         listed = ", ".join(f"{word} ({n})" for word, n in counts.items())
         notes = (f"{listed} of the MJCF file",) if listed else ()
         return "\n".join([*lines, "</robot>", ""]), notes
 
-    def _body(self, b: int) -> Iterator[str]:
-        """Links of a body; its joints are kept for the end of the file."""
-        model, name = self.model, self.bodies[b]
-        first, count = int(model.body_jntadr[b]), int(model.body_jntnum[b])
-        if b:
-            parent = int(model.body_parentid[b])
-            above = self.bodies[parent]
-            R = matrix(model.body_quat[b])
-            p = self.shift[parent] + model.body_pos[b]
-            for k, joint in enumerate(range(first, first + count), 1):
-                link = name if k == count else f"{name}_{k}"
-                R, p = self._joint(joint, R, p, above, link)
-                if k < count:
-                    yield f'  <link name="{text_of(link)}"/>'
-                above = link
-            if not count:
-                self._add_joint(f"{name}_fixed", "fixed", R, p, above, name, [])
-                p = np.zeros(3)
-            self.shift[b] = p
-        inner = [self._inertial(b)] if model.body_mass[b] > 0 else []
-        start, n = int(model.body_geomadr[b]), int(model.body_geomnum[b])
-        inner += [text for g in range(start, start + n) for text in self._geom(g, b)]
-        body = "".join(f"\n    {text}" for text in inner)
-        yield f'  <link name="{text_of(name)}">{body}\n  </link>'
+    def _body(self, body: Node, joints: list[Node]) -> None:
+        """Add the joints of a body, and a link behind each."""
+        name = self.model.body(body.body).name or f"body_{body.body}"
+        for k, joint in enumerate(joints, 1):
+            link = name if k == len(joints) else f"{name}_{k}"
+            self._joint(joint, joint.joint, link)
+            if link != name:
+                self.links.append(f'  <link name="{text_of(link)}"/>')
+        if joints:  # the last link has the frame of its joint
+            self.frames.append((name, body.translation))
+        elif body.parent < 0:
+            self.frames.append((name, np.zeros(3)))
+        else:
+            self._joint(body, f"{name}_fixed", name)
+        shift = self.frames[-1][1]
+        inner = []
+        if body.mass > 0:
+            inner = [inertial_text(body.mass, shift + body.center, body.inertia)]
+        start = int(self.model.body_geomadr[body.body])
+        for g in range(start, start + int(self.model.body_geomnum[body.body])):
+            inner += self._geom(g, shift)
+        text = "".join(f"\n    {x}" for x in inner)
+        self.links.append(f'  <link name="{text_of(name)}">{text}\n  </link>')
 
-    def _joint(
-        self, joint: int, R: Array, p: Array, above: str, link: str
-    ) -> tuple[Array, Array]:
-        """Add a joint; return the pose of the body in the link after it."""
-        model, robot, name = self.model, self.robot, self.names[joint]
-        if model.jnt_type[joint] not in (2, 3):
+    def _joint(self, node: Node, name: str, link: str) -> None:
+        """Add a joint to a link, which has its frame."""
+        above, p = self.frames[node.parent]
+        self.frames.append((link, np.zeros(3)))
+        parts = [
+            _origin(node.rotation, p + node.translation),
+            element("parent", {"link": above}),
+            element("child", {"link": link}),
+        ]
+        kind = "fixed"
+        if node.joint:
+            kind, inner = self._kind_and_parts(node)
+            parts += inner
+        text = "".join(f"\n    {x}" for x in parts)
+        head = f'  <joint name="{text_of(name)}" type="{kind}">'
+        self.joints.append(f"{head}{text}\n  </joint>")
+
+    def _kind_and_parts(self, node: Node) -> tuple[str, list[str]]:
+        """Type of a joint, and its axis, limits and friction."""
+        model, robot, name = self.model, self.robot, node.joint
+        if node.kind:
             raise RobotError(
                 f"{robot.path}: joint {name!r} is free or a ball, which URDF does not "
                 "have; valid are hinge and slide"
             )
-        R, p, offset = joint_frame(model, joint, R, p)
-        slides, limited = model.jnt_type[joint] == 2, bool(model.jnt_limited[joint])
-        kind = "prismatic" if slides else "revolute" if limited else "continuous"
+        joint = joint_names(model).index(name)
+        limited, dof = bool(model.jnt_limited[joint]), model.jnt_dofadr[joint]
+        turns = "revolute" if limited else "continuous"
         limits = {"effort": 0.0, "velocity": 0.0}
         if name in robot.joints:
             j = robot.joints.index(name)
@@ -115,43 +133,20 @@ class _Writer:
         if limited:
             low, high = model.jnt_range[joint]
             limits |= {"lower": low, "upper": high}
-        dof = model.jnt_dofadr[joint]
         friction = {
             "damping": model.dof_damping[dof],
             "friction": model.dof_frictionloss[dof],
         }
-        inner = [
-            element("axis", {"xyz": model.jnt_axis[joint]}),
+        return turns if node.revolute else "prismatic", [
+            element("axis", {"xyz": node.axis}),
             element("limit", limits),
             element("dynamics", friction),
         ]
-        self._add_joint(name, kind, R, p, above, link, inner)
-        return np.eye(3), -offset
 
-    def _add_joint(
-        self, name: str, kind: str, R: Array, p: Array, above: str, link: str,
-        inner: list[str],
-    ) -> None:  # fmt: skip
-        parts = [
-            _origin(R, p),
-            element("parent", {"link": above}),
-            element("child", {"link": link}),
-            *inner,
-        ]
-        text = "".join(f"\n    {x}" for x in parts)
-        head = f'  <joint name="{text_of(name)}" type="{kind}">'
-        self.joints.append(f"{head}{text}\n  </joint>")
-
-    def _inertial(self, b: int) -> str:
-        model = self.model
-        R, center = matrix(model.body_iquat[b]), self.shift[b] + model.body_ipos[b]
-        about = R @ np.diag(model.body_inertia[b]) @ R.T
-        return inertial_text(model.body_mass[b], center, about)
-
-    def _geom(self, g: int, b: int) -> Iterator[str]:
+    def _geom(self, g: int, shift: Array) -> Iterator[str]:
         """Visual and collision elements of a geom."""
         model = self.model
-        R, p = matrix(model.geom_quat[g]), self.shift[b] + model.geom_pos[g]
+        R, p = matrix(model.geom_quat[g]), shift + model.geom_pos[g]
         parts = list(self._shapes(g, R, p))
         words = []
         if model.geom_group[g] < _FIRST_HIDDEN:
@@ -168,8 +163,6 @@ class _Writer:
 
     def _shapes(self, g: int, R: Array, p: Array) -> Iterator[tuple[Array, Array, str]]:
         """Pose and element of each shape of a geom."""
-        import mujoco
-
         model, kinds = self.model, mujoco.mjtGeom
         kind, size = kinds(int(model.geom_type[g])), model.geom_size[g]
         ball = element("sphere", {"radius": size[0]})

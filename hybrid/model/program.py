@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from hybrid.dynamics.newton_euler import newton_euler
 from hybrid.dynamics.tape import Tape
 from hybrid.effects import Effect, JointState
 from hybrid.errors import EffectError, HybridError
-from hybrid.model.dynamic_model import DynamicModel
+
+if TYPE_CHECKING:
+    from hybrid.model.dynamic_model import DynamicModel
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,16 @@ class Program:
         lines = (self.tape.lines[k] for k in self.tape.needed(self.results))
         return frozenset(str(x.arguments[0]) for x in lines if x.name == "input")
 
+    def widths(self) -> tuple[dict[str, int], dict[str, int]]:
+        """Columns of each input that is used, and of each output."""
+        n, s = len(self.joints), len(self.memory)
+        given = {"q": n, "v": n, "a": n}
+        given |= {x: 1 for x in ("t", "step", "known") if x in self.uses}
+        found = {"tau": n, "variance": n}
+        if s:
+            given["memory"] = found["memory_out"] = s
+        return given, found
+
     def run(
         self,
         q: Array,
@@ -67,13 +79,8 @@ class Program:
     ) -> tuple[Array, Array]:
         """Compute torque, shape (N, n), [N·m], and memory, shape (N, s), of N states.
 
-        Args:
-            q: Positions, shape (N, n), [rad].
-            v: Speeds, shape (N, n), [rad/s].
-            a: Accelerations, shape (N, n), [rad/s²].
-            memory: Memory of the last call, shape (N, s); None for the first call.
-            t: Time since the start, [s].
-            step: Time since the last call, [s].
+        Inputs are those of the tape, with the memory of the last call, shape (N, s), or
+        None for the first one.
         """
         past = np.zeros((len(q), len(self.memory))) if memory is None else memory
         known = 0.0 if memory is None else 1.0
@@ -108,23 +115,15 @@ def program_from_model(model: DynamicModel) -> Program:
     for effect in effects:
         for j in effect.joints if effect.observes else ():
             q[j], v[j], a[j] = _traced(effect.true_state, effect, q[j], v[j], a[j])
-    inertial, gravity = model.link_parameters.tolist(), robot.chain.gravity.tolist()
-    load = newton_euler(robot.chain, inertial, gravity, q=q, v=v, a=a)
-    torque = list(load)
-    t = tape.input("t")
+    load, torque = _rigid_torque(model, effects, q, v, a)
+    t, memory = tape.input("t"), _Memory(tape)
     states = [JointState(t, q[j], v[j], a[j], np.sign(v[j]), load[j]) for j in range(n)]
-    memory = _Memory(tape)
     for effect in effects:
-        change = effect.rigid_change(n, robot.chain.gravity)
-        added: Iterable[tuple[int, Any]] = ()
-        if change is not None:
-            added = enumerate(_rigid_torque(model, change, q, v, a))
-        elif not effect.observes:
+        if not effect.observes and _rigid_change(model, effect) is None:
             own = [states[j] for j in effect.joints]
             values = memory.run(effect.at_instant, effect, own, own)
-            added = zip(effect.joints, values, strict=True)
-        for j, x in added:
-            torque[j] = torque[j] + x
+            for j, x in zip(effect.joints, values, strict=True):
+                torque[j] = torque[j] + x
     for effect in effects:
         if effect.reports or effect.asks:
             own = [states[j] for j in effect.joints]
@@ -139,6 +138,22 @@ def program_from_model(model: DynamicModel) -> Program:
     )  # fmt: skip
 
 
+def is_instant(model: DynamicModel, effect: Effect) -> bool:
+    """Whether the torque of an effect is a law of one state, which can be traced."""
+    if _rigid_change(model, effect) is not None:
+        return True
+    if effect.changes_signals or effect.asks or effect.memory or effect.not_in_loop:
+        return False
+    tape = Tape()
+    t, q, v, a, load = map(tape.input, ("t", "q", "v", "a", "load"))
+    state = JointState(t, q, v, a, np.sign(v), load)
+    try:
+        values, _ = effect.at_instant([state] * len(effect.joints), (), 0.0)
+    except (HybridError, TypeError, ValueError):
+        return False
+    return t.line not in tape.needed(values)
+
+
 def _add_remainder(model: DynamicModel, q: Any, v: Any, torque: list[Any]) -> list[Any]:
     """Add the learned torque; return its variance, NaN at joints without one."""
     variance = [np.nan] * len(torque)
@@ -149,16 +164,26 @@ def _add_remainder(model: DynamicModel, q: Any, v: Any, torque: list[Any]) -> li
     return variance
 
 
+def _rigid_change(model: DynamicModel, effect: Effect) -> tuple[Array, Array] | None:
+    return effect.rigid_change(model.robot.size, model.robot.chain.gravity)
+
+
 def _rigid_torque(
-    model: DynamicModel, change: tuple[Array, Array], q: Any, v: Any, a: Any
-) -> list[Any]:
-    """Torque of a change of links and gravity."""
+    model: DynamicModel, effects: Sequence[Effect], q: Any, v: Any, a: Any
+) -> tuple[list[Any], list[Any]]:
+    """Torque of the links, without and with changes of links and of gravity."""
     chain, still = model.robot.chain, [0.0] * model.robot.size
-    links, gravity = (x.tolist() for x in change)
+    changes = [x for e in effects if (x := _rigid_change(model, e)) is not None]
     inertial, down = model.link_parameters.tolist(), chain.gravity.tolist()
-    moving = newton_euler(chain, links, down, q=q, v=v, a=a)
-    static = newton_euler(chain, inertial, gravity, q=q, v=still, a=still)
-    return [x + y for x, y in zip(moving, static, strict=True)]
+    load = newton_euler(chain, inertial, down, q=q, v=v, a=a)
+    torque = list(load)
+    if changes:
+        links, gravity = (sum(x[1:], x[0]).tolist() for x in zip(*changes, strict=True))
+        moving = newton_euler(chain, links, down, q=q, v=v, a=a)
+        static = newton_euler(chain, inertial, gravity, q=q, v=still, a=still)
+        parts = zip(load, moving, static, strict=True)
+        torque = [x + y + z for x, y, z in parts]
+    return load, torque
 
 
 class _Memory:
