@@ -1,6 +1,17 @@
 """The library of effects: one file each, whose law is simulated and fitted."""
 
-from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity, Scale
+from hybrid.effects.effect import (
+    Body,
+    Effect,
+    JointState,
+    Memory,
+    Nominal,
+    Port,
+    Quantity,
+    Scalar,
+    Scale,
+    Scope,
+)  # fmt: skip
 from hybrid.effects.joint_effect import JointEffect
 
 __all__ = [
@@ -8,9 +19,13 @@ __all__ = [
     "Effect",
     "JointEffect",
     "JointState",
+    "Memory",
+    "Nominal",
     "Port",
     "Quantity",
+    "Scalar",
     "Scale",
+    "Scope",
     "effect_class",
     "effect_classes",
     "effect_from_dict",

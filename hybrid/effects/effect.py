@@ -12,20 +12,21 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects.in_plant import InPlant
-from hybrid.effects.instant import Instant
-from hybrid.effects.nominal import Nominal
+from hybrid.effects.instant import Instant, Memory, Scalar
 from hybrid.effects.quantity import Quantity, Scale
-from hybrid.effects.state import Body, JointState
+from hybrid.effects.state import Body, JointState, Nominal
 from hybrid.errors import EffectError
-from hybrid.parameters import Parameter
 from hybrid.signals import Motion
 
 __all__ = [
     "Body",
     "Effect",
     "JointState",
+    "Memory",
+    "Nominal",
     "Port",
     "Quantity",
+    "Scalar",
     "Scale",
     "Scope",
 ]
@@ -179,21 +180,6 @@ class Effect(InPlant, Instant, ABC):
     def shape_values(self) -> dict[str, float]:
         """Values of the shapes by name."""
         return {s.name: self.values[s.name] for s in self.shapes}
-
-    def parameters(self, scales: Sequence[Scale]) -> tuple[Parameter, ...]:
-        """Gains and shapes with units, bounds and standard deviations."""
-        scale = scales[self.joints[-1]]
-        return tuple(
-            Parameter(
-                x.name,
-                self.values[x.name],
-                min(x.lower, self.values[x.name]),
-                max(x.upper, self.values[x.name]),
-                x.unit,
-                self.std.get(x.name, float("nan")),
-            )
-            for x in (y.scaled(scale) for y in (*self.gains, *self.shapes))
-        )
 
     @classmethod
     def places(cls, size: int) -> Iterator[tuple[int, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity, Scale, Scope
-from hybrid.effects.nominal import Nominal
+from hybrid.effects import Body, Effect, Nominal, Port, Quantity, Scale, Scope
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 

@@ -27,8 +27,7 @@ INTEGRATORS = {
 # creeps with (1 − impedance)·step of its free acceleration.
 IMPEDANCE = 0.9999
 _HOOKS = (
-    "edit_spec", "command", "tune", "deliver", "follow", "resist", "push", "sense",
-    "measure", "report",
+    "edit_spec", "actuator", "deliver", "resist", "push", "sense", "measure", "report",
 )  # fmt: skip
 
 
@@ -136,7 +135,7 @@ def has_hook(effect: Effect) -> bool:
 
 def drives(effect: Effect) -> bool:
     """Whether the effect changes the torque between command and delivery."""
-    return overrides(effect, "deliver") or overrides(effect, "follow")
+    return overrides(effect, "deliver") or "lag" in effect.actuator
 
 
 def encoder_readings(

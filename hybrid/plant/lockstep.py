@@ -50,11 +50,12 @@ class Lockstep:
         self._arm = arm
         batch, n = start.shape
         self._laws = Laws(effects, batch, n)
-        self._drives = [e for e in effects if drives(e)]
+        self._drives = [(e, e.actuator.get("lag", 0.0)) for e in effects if drives(e)]
         self._resisting = [e for e in effects if overrides(e, "resist")]
         self._pushing = [e for e in effects if overrides(e, "push")]
-        # Delivered torque, and torque of effects with memory, one step ago.
-        self._before: list[Array | None] = [None] * len(self._drives)
+        # Delivered torque of lagging drives, and torque of effects with memory, one
+        # step ago.
+        self._before: dict[int, Array] = {}
         self._resisted = [np.zeros((batch, len(e.joints))) for e in self._resisting]
         self._models = [copy.copy(arm.model) for _ in range(batch)]
         self._datas = [mujoco.MjData(model) for model in self._models]
@@ -118,12 +119,13 @@ class Lockstep:
         if not self._drives:
             return torque
         delivered, step = torque.copy(), self._arm.model.opt.timestep
-        for k, effect in enumerate(self._drives):
-            before = self._before[k]
-            before = delivered if before is None else before  # steady at the start
-            for j in effect.joints:
-                delivered[:, j] = effect.follow(delivered[:, j], before[:, j], step)
-            self._before[k] = delivered.copy()
+        for k, (effect, lag) in enumerate(self._drives):
+            j = list(effect.joints)
+            now = effect.deliver(delivered[:, j])
+            if lag:  # steady at the start
+                now = lagged(now, self._before.get(k, now), lag, step)
+                self._before[k] = now
+            delivered[:, j] = now
         return delivered
 
     def _act(self, delivered: Array) -> None:
@@ -214,3 +216,15 @@ class Lockstep:
 
     def _of_motors(self, all_dofs: Array) -> Array:
         return all_dofs if self._alike else all_dofs.take(self._arm.motor, axis=2)
+
+
+def lagged(torque: Array, before: Array, lag: float, step: float) -> Array:
+    """One implicit Euler step of a first-order lag, whose delay is exact for any step.
+
+    Args:
+        torque: Commanded torque, [N·m].
+        before: Torque delivered one step ago, [N·m].
+        lag: Time constant, [s].
+        step: Length of the step, [s].
+    """
+    return before + (torque - before) * step / (lag + step)

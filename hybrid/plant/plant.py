@@ -73,7 +73,7 @@ class Plant:
         if self.servo is None:
             lag = np.zeros(self.robot.size)
             for effect in self.effects:
-                lag[list(effect.joints)] += effect.lag
+                lag[list(effect.joints)] += effect.actuator.get("lag", 0.0)
             period = 1.0 / self.control_rate
             servo = Servo.tuned(arm, self._nominal, period=period, lag=lag)
             set_(self, "servo", servo)
@@ -173,18 +173,20 @@ class Plant:
 
     def _commanded(self, t: Array, signal: Array) -> Array:
         """A commanded signal as the controller receives it, shape (M, n)."""
+        signal = signal.copy()
         for effect in self.effects:
-            if overrides(effect, "command"):
-                signal, j = signal.copy(), list(effect.joints)
-                signal[:, j] = effect.command(t, signal[:, j])
+            if late := effect.actuator.get("latency"):
+                for j in effect.joints:
+                    signal[:, j] = np.interp(t - late, t, signal[:, j])
         return signal
 
     def _gains(self) -> tuple[Array, Array]:
         """True stiffness and damping of the servo, shape (n,)."""
         kp, kd = self._servo.kp.copy(), self._servo.kd.copy()
         for effect in self.effects:
-            j = list(effect.joints)
-            kp[j], kd[j] = effect.tune(kp[j], kd[j])
+            j, changed = list(effect.joints), effect.actuator
+            kp[j] *= changed.get("stiffness", 1.0)
+            kd[j] *= changed.get("damping", 1.0)
         return kp, kd
 
     def _alignment(self, substeps: int) -> tuple[float, float]:
