@@ -60,6 +60,34 @@ class Stretch:
         command, q = self.command[part], self.q[part]
         return Stretch(self.step, command, q, v, self.source, before)
 
+    def goals(self, delay: Array, pace: Array, parts: int) -> Array:
+        """Goals of the servos at every physics step, shape (parts·(N − 1), n), [rad].
+
+        Args:
+            delay: By how much each joint's command acts later, shape (n,), [s].
+            pace: Least time of a rad of each joint's goal, shape (n,), [s/rad].
+            parts: Physics steps between two samples.
+        """
+        sent, samples, step = self.sent, len(self.command), self.step / parts
+        logged = np.arange(samples - len(sent), samples) * self.step
+        steps, earlier = (samples - 1) * parts, (len(sent) - samples) * parts
+        out = np.empty((steps, sent.shape[1]))
+        for j, (late, slow) in enumerate(zip(delay, pace, strict=True)):
+            first = -earlier if slow > 0 else 0
+            asked = np.interp(np.arange(first, steps) * step - late, logged, sent[:, j])
+            out[:, j] = (_slowed(asked, step / slow) if slow > 0 else asked)[-steps:]
+        return out
+
+
+def _slowed(asked: Array, most: float) -> Array:
+    """Goals that follow what is asked, shape (K,), by no more than ``most`` a step."""
+    if np.abs(np.diff(asked)).max() <= most:
+        return asked
+    followed, goal = asked.tolist(), float(asked[0])
+    for k, x in enumerate(followed):
+        followed[k] = goal = goal + min(max(x - goal, -most), most)
+    return np.array(followed)
+
 
 def without_torque(recordings: Sequence[Recording]) -> bool:
     """Say whether the logs have no torque.
@@ -121,10 +149,7 @@ def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
 def chosen(stretches: Sequence[Stretch], seconds: float, each: float) -> list[Stretch]:
     """Choose parts in which the commands move most, as many of each log as possible.
 
-    Args:
-        stretches: Whole logs.
-        seconds: Total time of the parts, [s].
-        each: Length of a part, [s].
+    All last ``seconds`` together, and ``each`` its own time, [s].
     """
     parts: list[tuple[int, float, Stretch]] = []
     scale = np.array([x.command.std(axis=0) for x in stretches]).max(axis=0) + 1e-9
