@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Effect
+from hybrid.effects import Effect
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ from pendulum import pendulum
 from test_effect_laws import effect, motion_of
 
 from hybrid.dynamics import RigidBody
-from hybrid.effects import JointState, effect_class, effect_classes
+from hybrid.effects import JointState, Scale, effect_class, effect_classes
 from hybrid.effects.backlash import _flight, _link_position
-from hybrid.effects.effect import Scale
 from hybrid.effects.elasticity import _swing
 from hybrid.effects.gravity_tilt import level_axes
 from hybrid.errors import EffectError

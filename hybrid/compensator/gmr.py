@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_matrix, check_mixture, check_pair, draw
+from hybrid.compensator.checks import check_matrix, check_pair, draw
 from hybrid.errors import HybridError, ModelFileError
 
 _ROWS = 4096  # samples at a time, which stay in the cache
@@ -82,7 +82,38 @@ class GaussianMixtureRegression:
             values = np.array(getattr(self, field.name), dtype=np.float64, order="C")
             values.setflags(write=False)
             object.__setattr__(self, field.name, values)
-        check_mixture(self)
+        self._check()
+
+    def _check(self) -> None:
+        k, d, m = self.weights.size, self.input_offset.size, self.bound.size
+        shapes = {
+            "weights": (k,),
+            "means": (k, d + m),
+            "covariances": (k, d + m, d + m),
+            "input_offset": (d,),
+            "input_scale": (d,),
+            "prior_variance": (m,),
+            "bound": (m,),
+            "fade": (2,),
+        }
+        for name, shape in shapes.items():
+            values = getattr(self, name)
+            if values.shape != shape or 0 in shape:
+                raise HybridError(f"{name} has shape {values.shape}, valid is {shape}")
+            if not np.isfinite(values).all():
+                raise HybridError(f"{name} has numbers that are not finite")
+        if not (self.weights > 0).all() or abs(self.weights.sum() - 1) > 1e-6:
+            raise HybridError("weights are not positive with sum 1")
+        if not ((self.input_scale > 0).all() and (self.prior_variance > 0).all()):
+            raise HybridError("input_scale and prior_variance must be positive")
+        if not ((self.bound >= 0).all() and 0 < self.fade[0] < self.fade[1]):
+            raise HybridError(
+                "bound must not be negative, and fade must increase from > 0"
+            )
+        try:
+            _ = self.conditional
+        except np.linalg.LinAlgError as error:
+            raise HybridError("a covariance is not positive definite") from error
 
     @property
     def inputs(self) -> int:
@@ -99,9 +130,8 @@ class GaussianMixtureRegression:
         """Number of components K."""
         return self.weights.size
 
-    @classmethod
+    @staticmethod
     def fit(
-        cls,
         x: ArrayLike,
         y: ArrayLike,
         *,
@@ -150,7 +180,6 @@ class GaussianMixtureRegression:
             checked = check_pair(*validation, columns=(x.shape[1], y.shape[1]))
             held_out = draw(*checked, max_samples, rng)
         return fit_gmr(
-            cls,
             pair,
             held_out,
             candidates=candidates if components is None else (components,),

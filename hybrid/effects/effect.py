@@ -12,24 +12,11 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects.in_plant import InPlant
-from hybrid.effects.instant import Instant, Memory, Scalar
+from hybrid.effects.instant import Instant
 from hybrid.effects.quantity import Quantity, Scale
-from hybrid.effects.state import Body, JointState, Nominal
+from hybrid.effects.state import Body, Nominal
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
-
-__all__ = [
-    "Body",
-    "Effect",
-    "JointState",
-    "Memory",
-    "Nominal",
-    "Port",
-    "Quantity",
-    "Scalar",
-    "Scale",
-    "Scope",
-]
 
 Scope = Literal["joint", "coupling", "arm"]
 
@@ -253,16 +240,10 @@ class Effect(InPlant, Instant, ABC):
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """Start values of the shapes from the motions, in addition to a grid.
+        """Start values of the shapes by name, in addition to a grid.
 
-        For laws that fit only near their own shapes.
-
-        Args:
-            motions: Motions with the delivered and the commanded torque, [N·m].
-            j: Index of the joint.
-
-        Returns:
-            Value of every shape in its unit, by name; empty by default.
+        For laws that fit only near their own shapes, which motions with the delivered
+        and the commanded torque of a joint show.
         """
         return {}
 

@@ -207,12 +207,8 @@ def point_change(
 ) -> Array:
     """Derivative by the joint positions of points along a direction, shape (N, n).
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        link: Link of the points, −1 for the base; one for all, or shape (N,).
-        point: Points in the base frame, shape (N, 3), [m].
-        direction: Direction in the base frame, shape (N, 3).
+    Points, shape (N, 3), [m], and directions, shape (N, 3), are in the base frame. The
+    link of the points is −1 for the base, and one for all or shape (N,).
     """
     out = np.zeros_like(q)
     _, origin, axis = frames(chain, q)
@@ -226,16 +222,9 @@ def point_change(
 
 
 def closest_points(first: Array, second: Array) -> tuple[Array, Array]:
-    """Closest points of two segments.
+    """Closest points of two segments with end points of shape (..., 2, 3), [m].
 
     See Ericson 2005, Real-Time Collision Detection, section 5.1.9.
-
-    Args:
-        first: End points, shape (..., 2, 3), [m].
-        second: End points, shape (..., 2, 3), [m].
-
-    Returns:
-        Points on the first and on the second, each of shape (..., 3), [m].
     """
     p, d = first[..., 0, :], first[..., 1, :] - first[..., 0, :]
     r, e = second[..., 0, :], second[..., 1, :] - second[..., 0, :]

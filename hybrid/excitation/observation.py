@@ -116,10 +116,8 @@ class Observation:
     ) -> Observation:
         """Append the columns of effects that the fit leaves out.
 
-        Args:
-            effects: Effects that the arm may have; gains whose columns depend on the
-                present ones are left out.
-            sizes: Unit in which each of their gains is counted.
+        Gains whose columns depend on the present ones are left out. Each is counted in
+        one of the ``sizes``.
         """
         every = (*self.effects, *effects)
         base = stacked_base(self.chain, every, effect_gains(every))
@@ -205,15 +203,11 @@ def observe(
 
 
 def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
-    """Choices of base columns among the 10n of the regressor, by name.
+    """Choices of base columns among the 10n of the regressor H, (rows, 10n), by name.
 
     ``first independent columns`` goes from base to tip and keeps each column that does
     not depend on those before, the same for every motion. ``columns by pivoted QR``
     always takes the largest remaining one.
-
-    Args:
-        chain: The arm.
-        H: Observation matrix of all columns, shape (rows, 10n).
     """
     kept = stacked_base(chain, (), ()).kept
     _, order = qr(H, mode="r", pivoting=True)

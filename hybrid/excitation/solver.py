@@ -9,28 +9,18 @@ penalty, damped BFGS).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybrid.arrays import Array
 
+if TYPE_CHECKING:
+    from hybrid.excitation.program import MotionProgram
+
 PENALTY = 5.0  # of the largest excess, against an objective of order 1
 _FIRST_REACH, _MOST_REACH, _LEAST_REACH = 0.1, 0.5, 1e-5
 _ENOUGH = 1e-6  # predicted decrease at which to stop
-
-
-class ConstrainedProblem(Protocol):
-    """An objective to minimise under conditions."""
-
-    def objective(self, x: Array) -> tuple[float, Array]:
-        """Value, and gradient of shape (d,)."""
-
-    def conditions(self, x: Array) -> tuple[Array, Array]:
-        """Conditions near their limit: excess, shape (M,), and slope, shape (M, d)."""
-
-    def excess(self, x: Array) -> float:
-        """Largest excess of all conditions; feasible if not above zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +45,7 @@ class Optimum:
 
 
 def solve(
-    program: ConstrainedProblem,
+    program: MotionProgram,
     x: Array,
     *,
     iterations: int,
@@ -65,7 +55,7 @@ def solve(
     """Minimise from a start, which may violate the conditions.
 
     Args:
-        program: Objective and conditions; coordinates of order 1.
+        program: Objective and conditions; coordinates are of order 1.
         x: Start, shape (d,).
         iterations: Largest number of steps.
         curvature: Initial Hessian, e.g. of a similar program, shape (d, d).

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid import dynamics
 from hybrid.arrays import Array
 from hybrid.effects import Effect, JointEffect, Port
 from hybrid.effects.registry import check_effects
@@ -172,25 +173,9 @@ def check_simulable(effects: Sequence[Effect], size: int) -> None:
 def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
     """Torque of rigid body, rotors and springs along a motion, without friction.
 
-    Args:
-        robot: The arm.
-        q: Position, shape (N, n), [rad].
-        v: Speed, shape (N, n), [rad/s].
-        a: Acceleration, shape (N, n), [rad/s²].
-
-    Returns:
-        Torque, shape (N, n), [N·m].
+    Position [rad], speed [rad/s], acceleration [rad/s²] and torque [N·m] have the
+    shape (N, n).
     """
-    import mujoco
-
-    model = robot.mujoco_spec().compile()
-    model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
-    model.dof_dampingpoly[:] = model.tendon_damping[:] = 0.0
-    model.tendon_frictionloss[:] = 0.0
-    data = mujoco.MjData(model)
-    torque = np.empty_like(q)
-    for k in range(len(q)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
-        mujoco.mj_inverse(model, data)
-        torque[k] = data.qfrc_inverse
-    return torque
+    smooth = replace(robot, ripple=robot.ripple[:0])
+    rigid = dynamics.inverse_dynamics(robot.chain, robot.chain.inertial, q, v, a)
+    return rigid + smooth.joint_torque(q, np.zeros_like(v), a)

@@ -219,12 +219,5 @@ class Lockstep:
 
 
 def lagged(torque: Array, before: Array, lag: float, step: float) -> Array:
-    """One implicit Euler step of a first-order lag, whose delay is exact for any step.
-
-    Args:
-        torque: Commanded torque, [N·m].
-        before: Torque delivered one step ago, [N·m].
-        lag: Time constant, [s].
-        step: Length of the step, [s].
-    """
+    """One implicit Euler step of a lag, whose delay is exact for any step."""
     return before + (torque - before) * step / (lag + step)

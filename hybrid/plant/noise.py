@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
+from hybrid.plant.arm import inverse_dynamics
 from hybrid.robot.robot import Robot
 
 # See `Noise.typical`.
@@ -141,8 +142,6 @@ def rated_torque(robot: Robot) -> Array:
     """
     if np.isfinite(robot.tau_max).all():
         return robot.tau_max
-    from hybrid.plant.arm import inverse_dynamics
-
     postures = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, robot.size))
     rest = np.zeros_like(postures)
     weight = inverse_dynamics(robot, postures, rest, rest)

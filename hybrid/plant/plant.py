@@ -11,7 +11,7 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import HybridError, warn
 from hybrid.plant.arm import Arm, build_arm, drives, encoder_readings, overrides
-from hybrid.plant.joint_fields import falls, knees, ripples
+from hybrid.plant.joint_fields import curves
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import Reference
@@ -48,9 +48,10 @@ class Plant:
 
     robot: Robot
     effects: Sequence[Effect] = ()
-    nominal: Robot | None = None
-    noise: Noise | None = None
-    servo: Servo | None = None
+    # None stands for the default until construction ends.
+    nominal: Robot = None  # type: ignore[assignment]
+    noise: Noise = None  # type: ignore[assignment]
+    servo: Servo = None  # type: ignore[assignment]
     step: float = 0.0005
     control_rate: float = 1000.0
     log_rate: float = 500.0
@@ -75,28 +76,11 @@ class Plant:
             for effect in self.effects:
                 lag[list(effect.joints)] += effect.actuator.get("lag", 0.0)
             period = 1.0 / self.control_rate
-            servo = Servo.tuned(arm, self._nominal, period=period, lag=lag)
+            servo = Servo.tuned(arm, self.nominal, period=period, lag=lag)
             set_(self, "servo", servo)
         n = self.robot.size
-        if len(self._noise.torque_covariance) != n or len(self._servo.kp) != n:
+        if len(self.noise.torque_covariance) != n or len(self.servo.kp) != n:
             raise HybridError(f"noise and servo need {n} joints, as the robot has")
-
-    # Never None after construction; the fields are optional for the caller only.
-
-    @property
-    def _nominal(self) -> Robot:
-        assert self.nominal is not None
-        return self.nominal
-
-    @property
-    def _noise(self) -> Noise:
-        assert self.noise is not None
-        return self.noise
-
-    @property
-    def _servo(self) -> Servo:
-        assert self.servo is not None
-        return self.servo
 
     def run(
         self,
@@ -135,7 +119,7 @@ class Plant:
         self, references: Sequence[Reference]
     ) -> tuple[Array, dict[str, Array]]:
         """Clock (N,) and the true signals, shape (N, B, n), of the longest run."""
-        servo, every = self._servo, round(self.control_rate / self.log_rate)
+        servo, every = self.servo, round(self.control_rate / self.log_rate)
         substeps = round(1.0 / (self.step * self.control_rate))
         before = round(_SETTLE * self.control_rate)
         samples = 1 + max(_samples(r, self.log_rate) for r in references)
@@ -147,8 +131,7 @@ class Plant:
             for signal in zip(*plans, strict=True)
         )
         kp, kd = self._gains()
-        robot = self.robot
-        effects = [*self.effects, *knees(robot), *ripples(robot), *falls(robot)]
+        effects = [*self.effects, *curves(self.robot)]
         state = Lockstep(self.arm, effects, q_ref[0], time=t[0])
         weight, lead = self._alignment(substeps)
         log = {x: np.empty((samples, *q_ref.shape[1:])) for x in ("q", "v", "tau")}
@@ -182,7 +165,7 @@ class Plant:
 
     def _gains(self) -> tuple[Array, Array]:
         """True stiffness and damping of the servo, shape (n,)."""
-        kp, kd = self._servo.kp.copy(), self._servo.kd.copy()
+        kp, kd = self.servo.kp.copy(), self.servo.kd.copy()
         for effect in self.effects:
             j, changed = list(effect.joints), effect.actuator
             kp[j] *= changed.get("stiffness", 1.0)
@@ -221,7 +204,7 @@ class Plant:
             # is: its `report`, which a fit uses, must not be applied again.
             if overrides(effect, "measure") or not drives(effect):
                 log = effect.measure(t, log)
-        log = self._noise.apply(log, rate=self.log_rate, rng=rng)
+        log = self.noise.apply(log, rate=self.log_rate, rng=rng)
         return Recording(
             t=t.copy(),
             q=log["q"],

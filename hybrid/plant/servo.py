@@ -61,12 +61,8 @@ class Servo:
 
         They are higher where usual friction would stop the joint, and low enough for
         the rotor alone, since the motor of an elastic joint moves without its link.
-
-        Args:
-            arm: The arm to control.
-            robot: The arm that the controller knows.
-            period: Time between control samples, [s].
-            lag: Time constant of the drives, shape (n,), [s].
+        ``robot`` is the arm that the controller knows, ``period`` its sampling time,
+        [s], and ``lag`` the time constant of the drives, shape (n,), [s].
         """
         # With a lag T the loop is unstable unless kd > T·kp; half of that is used.
         fastest = _DAMPING / np.maximum(lag, 1e-9)
@@ -101,9 +97,8 @@ class Servo:
         q, v = reference.at(t)
         if self.feedforward is None:
             return q, v, np.zeros_like(q)
-        torque = inverse_dynamics(
-            self.feedforward, reference.q, reference.v, reference.a
-        )
+        r = reference
+        torque = inverse_dynamics(self.feedforward, r.q, r.v, r.a)
         columns = [np.interp(t, reference.t, column) for column in torque.T]
         return q, v, np.stack(columns, axis=1)
 
