@@ -180,6 +180,7 @@ class GaussianMixtureRegression:
             checked = check_pair(*validation, columns=(x.shape[1], y.shape[1]))
             held_out = draw(*checked, max_samples, rng)
         return fit_gmr(
+            GaussianMixtureRegression,
             pair,
             held_out,
             candidates=candidates if components is None else (components,),

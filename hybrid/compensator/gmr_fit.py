@@ -5,14 +5,17 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
 from hybrid.arrays import Array
-from hybrid.compensator.gmr import GaussianMixtureRegression
 from hybrid.errors import IdentificationError
+
+if TYPE_CHECKING:
+    from hybrid.compensator.gmr import GaussianMixtureRegression
 
 TRUSTED_SHARE = 0.995  # of the training samples, within the start of the fade
 FADE_RATIO = 4.0  # squared distance at the end of the fade, over that at its start
@@ -21,6 +24,7 @@ CONSTANT = 1e-12  # relative variation of a channel that counts as constant
 
 
 def fit_gmr(
+    kind: type[GaussianMixtureRegression],
     pair: tuple[Array, Array],
     held_out: tuple[Array, Array] | None,
     *,
@@ -35,7 +39,7 @@ def fit_gmr(
     scores: dict[int, float] = {}
     for count in _usable(candidates, *joint.shape):
         mixture = _run_em(joint, count, floor=floor, rng=rng)
-        models[count] = model = _build(mixture, *pair, bound=bound, floor=floor)
+        models[count] = model = _build(kind, mixture, *pair, bound, floor)
         if held_out is None:
             scores[count] = -mixture.bic(joint) / (2.0 * len(joint))
         else:
@@ -117,13 +121,18 @@ def _run_em(
 
 
 def _build(
-    mixture: GaussianMixture, x: Array, y: Array, *, bound: Array, floor: float
+    kind: type[GaussianMixtureRegression],
+    mixture: GaussianMixture,
+    x: Array,
+    y: Array,
+    bound: Array,
+    floor: float,
 ) -> GaussianMixtureRegression:
     input_offset, input_scale = _offset_and_scale(x)
     output_offset, output_scale = _offset_and_scale(y)
     offset = np.concatenate([np.zeros_like(input_offset), output_offset])
     scale = np.concatenate([np.ones_like(input_scale), output_scale])
-    model = GaussianMixtureRegression(
+    model = kind(
         weights=mixture.weights_,
         means=offset + scale * mixture.means_,
         covariances=mixture.covariances_ * np.outer(scale, scale),

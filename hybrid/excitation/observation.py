@@ -67,12 +67,9 @@ class Observation:
         return effect_gains(self.effects)
 
     def matrix(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
-        """The observation matrix, shape (N, n, b).
+        """The observation matrix of a motion of N samples, shape (N, n, b).
 
-        Args:
-            path: Motion, N samples.
-            turning_speed: Speed within which dry friction is smoothed, [rad/s]; 0 for a
-                step.
+        Dry friction is smoothed within a speed, [rad/s]; 0 is a step.
         """
         rigid, gains = self._kept
         Y = np.empty((len(path.t), self.chain.size, self.size))

@@ -54,12 +54,8 @@ def solve(
 ) -> Optimum:
     """Minimise from a start, which may violate the conditions.
 
-    Args:
-        program: Objective and conditions; coordinates are of order 1.
-        x: Start, shape (d,).
-        iterations: Largest number of steps.
-        curvature: Initial Hessian, e.g. of a similar program, shape (d, d).
-        penalty: Weight of the largest excess.
+    Coordinates, shape (d,), are of order 1. The initial Hessian, shape (d, d), may be
+    that of a similar program. The penalty weighs the largest excess.
     """
     reach = _FIRST_REACH
     B = np.eye(len(x)) if curvature is None else curvature

@@ -151,12 +151,7 @@ def encoder_readings(
 
 
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
-    """Check that a plant of n joints can simulate the effects.
-
-    Raises:
-        EffectError: An item is no effect, has neither a hook nor a law, or a joint out
-            of range.
-    """
+    """Refuse what is no effect, has no hook or law, or a joint out of range."""
     check_effects(effects)
     for effect in effects:
         if not (has_hook(effect) or isinstance(effect, JointEffect)):

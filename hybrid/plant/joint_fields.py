@@ -30,14 +30,10 @@ def split_effects(
 ) -> tuple[dict[str, Array], list[Effect]]:
     """Split effects into values of joint fields and remaining effects.
 
-    Args:
-        effects: Effects of an arm.
-        fields: Fields of the simulator, of ``hybrid.effects.instant.FIELDS``.
-        size: Number of joints n of the arm.
-
     Returns:
-        Values of each field, shape (n,), and the remaining effects. The negative part
-        of a field's sum is an effect again.
+        Values of each of the fields, which are some of
+        ``hybrid.effects.instant.FIELDS``, shape (n,), and the remaining effects. The
+        negative part of a field's sum is an effect again.
     """
     values, rest = {name: np.zeros(size) for name in fields}, []
     for effect in effects:
@@ -70,11 +66,7 @@ def _unphysical(values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
-    """Values of joint fields as effects, joint by joint.
-
-    Args:
-        values: Values by field, shape (n,); missing fields are zero.
-    """
+    """Values of joint fields, shape (n,), as effects, joint by joint."""
     kinds: tuple[type[Effect], ...] = (
         Armature, Viscous, Coulomb, NonlinearViscous, Spring,
     )  # fmt: skip
@@ -176,11 +168,7 @@ def with_curves(
 
 
 def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, shape (n,) each.
-
-    Args:
-        values: ``stiffness`` and ``preload``, shape (n,).
-    """
+    """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, (n,) each."""
     stiffness, preload = values["stiffness"], values["preload"]
     stiffness = np.where((stiffness == 0) & (preload != 0), _SOFTEST, stiffness)
     return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

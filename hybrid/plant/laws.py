@@ -60,12 +60,7 @@ class Laws:
         return len(self._groups)
 
     def evaluate(self, motor: JointState, link: JointState) -> None:
-        """Set the three sums from the state on either side of the transmission.
-
-        Args:
-            motor: State of the motors, arrays of shape (B, n).
-            link: State of the links, arrays of shape (B, n).
-        """
+        """Set the three sums from the states of motors and links, shape (B, n)."""
         parts: dict[tuple[bool, tuple[int, ...]], JointState] = {}
         for total in (self.dry, self.drive, self.link):
             total.fill(0.0)

@@ -63,10 +63,9 @@ class Stretch:
     def goals(self, delay: Array, pace: Array, parts: int) -> Array:
         """Goals of the servos at every physics step, shape (parts·(N − 1), n), [rad].
 
-        Args:
-            delay: By how much each joint's command acts later, shape (n,), [s].
-            pace: Least time of a rad of each joint's goal, shape (n,), [s/rad].
-            parts: Physics steps between two samples.
+        Each joint's command acts later by its delay, shape (n,), [s], and its goal
+        takes at least its pace, shape (n,), [s/rad]. Two samples are so many parts
+        apart.
         """
         sent, samples, step = self.sent, len(self.command), self.step / parts
         logged = np.arange(samples - len(sent), samples) * self.step
