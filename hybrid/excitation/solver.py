@@ -106,15 +106,9 @@ def quadratic_program(
     P = np.zeros((d + 1, d + 1))
     P[:d, :d] = B
     P[d, d] = 1e-8
-    eye, zero = np.eye(d), np.zeros((d, 1))
-    rows = np.block(
-        [
-            [slopes, -np.ones((len(limits), 1))],
-            [eye, zero],
-            [-eye, zero],
-            [np.zeros((1, d)), -np.ones((1, 1))],
-        ]
-    )
+    *box, slack = np.eye(d + 1)
+    over = np.column_stack([slopes, -np.ones(len(limits))])
+    rows = np.vstack([over, box, np.negative(box), -slack])
     bounds = np.concatenate([-limits, np.full(2 * d, reach), [0.0]])
     settings = clarabel.DefaultSettings()
     settings.verbose = False

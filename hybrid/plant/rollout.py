@@ -121,7 +121,7 @@ class _FreeTrajectories(Lockstep):
         self.temperature = start.temperature
         self._read()
         self.a, self.load = start.a.copy(), load.copy()
-        self._resisted = [np.array(x) for x in resisted]  # of effects with memory
+        self._laws.resisted = [np.array(x) for x in resisted]
 
     def _read(self) -> None:
         self.q, self.v = self._of_motors(self._gather(self._motion))
