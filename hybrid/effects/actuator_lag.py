@@ -52,7 +52,8 @@ class ActuatorLag(Effect):
         """
         (now,), time = torque, self.values["time"]
         known, *past = memory
-        before, filtered = (np.where(known > 0.5, x, now) for x in past)
+        started: list[Scalar] = [np.where(known > 0.5, x, now) for x in past]
+        before, filtered = started
         if time >= 0:
             filtered = now + time * (now - before) / step
         else:

@@ -16,7 +16,8 @@ from types import ModuleType
 from typing import Any
 
 from hybrid.arguments import check_argument
-from hybrid.effects.effect import Effect, Scale
+from hybrid.effects.effect import Effect
+from hybrid.effects.quantity import Scale
 from hybrid.errors import EffectError
 from hybrid.names import printable
 

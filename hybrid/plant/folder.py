@@ -21,6 +21,7 @@ def content_from_plant(plant: Plant) -> dict[str, Any]:
     torque sensors, shape (n, n), [N²·m²].
     """
     joints, noise = plant.robot.joints, plant.noise
+    assert noise is not None  # a plant has made it
     return {
         "robot": plant.robot.name,
         "joints": list(joints),

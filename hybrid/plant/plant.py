@@ -48,10 +48,9 @@ class Plant:
 
     robot: Robot
     effects: Sequence[Effect] = ()
-    # None stands for the default until construction ends.
-    nominal: Robot = None  # type: ignore[assignment]
-    noise: Noise = None  # type: ignore[assignment]
-    servo: Servo = None  # type: ignore[assignment]
+    nominal: Robot | None = None
+    noise: Noise | None = None
+    servo: Servo | None = None
     step: float = 0.0005
     control_rate: float = 1000.0
     log_rate: float = 500.0
@@ -76,11 +75,28 @@ class Plant:
             for effect in self.effects:
                 lag[list(effect.joints)] += effect.actuator.get("lag", 0.0)
             period = 1.0 / self.control_rate
-            servo = Servo.tuned(arm, self.nominal, period=period, lag=lag)
+            servo = Servo.tuned(arm, self._nominal, period=period, lag=lag)
             set_(self, "servo", servo)
         n = self.robot.size
-        if len(self.noise.torque_covariance) != n or len(self.servo.kp) != n:
+        if len(self._noise.torque_covariance) != n or len(self._servo.kp) != n:
             raise HybridError(f"noise and servo need {n} joints, as the robot has")
+
+    # Never None after construction; the fields are optional for the caller only.
+
+    @property
+    def _nominal(self) -> Robot:
+        assert self.nominal is not None
+        return self.nominal
+
+    @property
+    def _noise(self) -> Noise:
+        assert self.noise is not None
+        return self.noise
+
+    @property
+    def _servo(self) -> Servo:
+        assert self.servo is not None
+        return self.servo
 
     def run(
         self,
@@ -119,7 +135,7 @@ class Plant:
         self, references: Sequence[Reference]
     ) -> tuple[Array, dict[str, Array]]:
         """Clock (N,) and the true signals, shape (N, B, n), of the longest run."""
-        servo, every = self.servo, round(self.control_rate / self.log_rate)
+        servo, every = self._servo, round(self.control_rate / self.log_rate)
         substeps = round(1.0 / (self.step * self.control_rate))
         before = round(_SETTLE * self.control_rate)
         samples = 1 + max(_samples(r, self.log_rate) for r in references)
@@ -165,7 +181,7 @@ class Plant:
 
     def _gains(self) -> tuple[Array, Array]:
         """True stiffness and damping of the servo, shape (n,)."""
-        kp, kd = self.servo.kp.copy(), self.servo.kd.copy()
+        kp, kd = self._servo.kp.copy(), self._servo.kd.copy()
         for effect in self.effects:
             j, changed = list(effect.joints), effect.actuator
             kp[j] *= changed.get("stiffness", 1.0)
@@ -204,7 +220,7 @@ class Plant:
             # is: its `report`, which a fit uses, must not be applied again.
             if overrides(effect, "measure") or not drives(effect):
                 log = effect.measure(t, log)
-        log = self.noise.apply(log, rate=self.log_rate, rng=rng)
+        log = self._noise.apply(log, rate=self.log_rate, rng=rng)
         return Recording(
             t=t.copy(),
             q=log["q"],

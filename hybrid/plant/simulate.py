@@ -56,13 +56,11 @@ def simulate(
         plant = robot
     else:
         rate = 500.0 if log_rate is None else log_rate
-        plant = Plant(
-            robot, effects, noise=noise or Noise.typical(robot), log_rate=rate
-        )
+        plant = Plant(robot, effects, noise=noise, log_rate=rate)
     motion_rng, noise_rng = np.random.default_rng(seed).spawn(2)
     references = [
         random_fourier(
-            plant.nominal,
+            plant.nominal or plant.robot,
             duration=duration,
             rate=plant.log_rate,
             seed=child,
