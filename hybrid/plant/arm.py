@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid import dynamics
 from hybrid.arrays import Array
+from hybrid.dynamics import inverse_dynamics as rigid_torque
 from hybrid.effects import Effect, JointEffect, Port
 from hybrid.effects.registry import check_effects
 from hybrid.errors import EffectError, HybridError
@@ -172,5 +172,5 @@ def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
     shape (N, n).
     """
     smooth = replace(robot, ripple=robot.ripple[:0])
-    rigid = dynamics.inverse_dynamics(robot.chain, robot.chain.inertial, q, v, a)
+    rigid = rigid_torque(robot.chain, robot.chain.inertial, q, v, a)
     return rigid + smooth.joint_torque(q, np.zeros_like(v), a)
