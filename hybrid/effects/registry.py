@@ -127,11 +127,7 @@ def effect_class(effect_id: str) -> type[Effect]:
 
 
 def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect:
-    """The effect that :meth:`Effect.as_dict` described.
-
-    Args:
-        content: ``effect``, ``joints`` (names), ``values`` and optionally ``std``.
-        names: Joint names of the arm.
+    """The effect that :meth:`Effect.as_dict` described, given the arm's joint names.
 
     Raises:
         EffectError: The effect, a joint or a parameter is unknown.

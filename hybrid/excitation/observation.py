@@ -87,12 +87,8 @@ class Observation:
     def gradient(self, path: Path, weight: Array) -> tuple[Array, Array, Array]:
         """Derivatives of ``sum(weight * matrix(path))`` by the motion.
 
-        Args:
-            path: Motion, N samples.
-            weight: Weight of each entry, shape (N, n, b).
-
-        Returns:
-            Derivatives by q, v and a, each of shape (N, n).
+        The weight has the shape (N, n, b), and the derivatives by q, v and a (N, n)
+        each.
         """
         rigid, gains = self._kept
         seed = self.whitening.T @ weight * self.scale

@@ -61,15 +61,11 @@ def build_arm(
 ) -> Arm:
     """Compile an arm with the effects that MuJoCo simulates itself.
 
-    Args:
-        robot: The arm, with the friction and rotors of its file.
-        effects: Effects; they edit the spec in the order of their ports, so that a
-            spring finds the rotor it needs.
-        step: Physics step, [s].
-        integrator: One of ``INTEGRATORS``.
+    Effects edit the spec in the order of their ports, so that a spring finds the rotor
+    it needs.
 
     Raises:
-        HybridError: The step or integrator is not valid, or MuJoCo refuses the model.
+        HybridError: Step [s] or integrator is not valid, or MuJoCo refuses the model.
         EffectError: An effect cannot be simulated.
     """
     import mujoco

@@ -85,14 +85,10 @@ class Servo:
         )
 
     def plan(self, reference: Reference, t: Array) -> tuple[Array, Array, Array]:
-        """Position, speed and feed-forward torque at the control samples.
+        """Position [rad], speed [rad/s] and feed-forward torque [N·m] at given times.
 
-        Args:
-            reference: The motion to follow; the arm waits at its ends.
-            t: Times of the control samples, shape (M,), [s].
-
-        Returns:
-            Three arrays of shape (M, n): [rad], [rad/s], [N·m].
+        The arm waits at the ends of the reference. Times have the shape (M,), [s], and
+        the results (M, n).
         """
         q, v = reference.at(t)
         if self.feedforward is None:

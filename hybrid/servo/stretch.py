@@ -121,9 +121,6 @@ def _check_command(recording: Recording) -> None:
 def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
     """Resample logs to uniform clocks, and split them at holes.
 
-    Args:
-        recordings: Logs with command, joints in the order of the arm.
-
     Raises:
         RecordingError: A log has no command, or no stretch lasts two seconds.
     """
