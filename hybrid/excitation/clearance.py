@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import frames
 from hybrid.errors import warn
-from hybrid.excitation.constraints import Index, Limits
+from hybrid.excitation.constraints import Constraint, Index, Limits
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Chain
 from hybrid.robot.geometry import Capsules, capsules_from_robot
@@ -25,7 +24,7 @@ _JOINED = 0.95  # share of postures in contact above which a pair is joined by d
 
 
 @dataclass(frozen=True, eq=False)
-class Clearance:
+class Clearance(Constraint):
     """A least distance between links that are not neighbours.
 
     Capsules cover the geometry of the links, so their distance is a lower bound.
@@ -36,8 +35,6 @@ class Clearance:
         pairs: Links to keep apart, −1 for the base, shape (K, 2).
         margin: Least distance, [m].
     """
-
-    is_linear: ClassVar[bool] = False
 
     robot: Robot
     capsules: Capsules
@@ -141,7 +138,7 @@ class Clearance:
 
 
 @dataclass(frozen=True, eq=False)
-class Floor:
+class Floor(Constraint):
     """A height in the base frame that every moving link stays above.
 
     Attributes:
@@ -149,8 +146,6 @@ class Floor:
         capsules: Capsules that cover its links.
         height: The height, [m].
     """
-
-    is_linear: ClassVar[bool] = False
 
     robot: Robot
     capsules: Capsules
