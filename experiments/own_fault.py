@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from hybrid.effects.effect import Scale
+from hybrid.effects import Scale
 from hybrid.robot import Robot
 
 IN_MODEL = ("coulomb", "viscous", "armature", "gravity_tilt", "payload", "link_inertia",

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from separable import Fit, Problem, fit_separable
 
 from hybrid.arrays import Array
-from hybrid.effects import Effect, Scale
-from hybrid.effects.effect import Body
+from hybrid.effects import Body, Effect, Scale
 from hybrid.errors import IdentificationError
 from hybrid.signals import Motion, Sampler
 

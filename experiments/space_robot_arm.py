@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects import Effect, JointState, Port, Quantity
-from hybrid.effects.effect import Body
+from hybrid.effects import Body, Effect, JointState, Port, Quantity
 from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain

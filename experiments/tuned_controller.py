@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -44,7 +43,7 @@ from hybrid.errors import HybridWarning
 from hybrid.exports import model_simulator
 from hybrid.files import atomic_path
 from hybrid.plant import Plant
-from hybrid.plant.joint_fields import falls, knees, ripples
+from hybrid.plant.joint_fields import curves
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.scale import joint_scales
 from hybrid.report import markdown_table, numbers_table, provenance, write_results
@@ -105,8 +104,7 @@ def simulators(
 
 def stepped(plant: Plant) -> World:
     """A plant with its effects and the curves of its file."""
-    curves = (x(plant.robot) for x in (knees, ripples, falls))
-    laws = [*plant.effects, *chain.from_iterable(curves)]
+    laws = [*plant.effects, *curves(plant.robot)]
     return lambda q: Lockstep(plant.arm, laws, q)
 
 

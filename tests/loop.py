@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hybrid.arrays import Array
-from hybrid.effects.effect import Effect
+from hybrid.effects import Effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +52,16 @@ def loop_with(loop: Loop, effects: Sequence[Effect]) -> Loop:
         effects: Effects; those that act elsewhere change nothing here.
     """
     for effect in effects:
-        j = list(effect.joints)
-        changed = {}
+        actuator, changed = effect.actuator, {}
         for name in ("q_ref", "v_ref", "feedforward"):
             signal = getattr(loop, name).copy()
-            signal[:, j] = effect.command(loop.t, signal[:, j])
+            for j in effect.joints:
+                late = loop.t - actuator.get("latency", 0.0)
+                signal[:, j] = np.interp(late, loop.t, signal[:, j])
             changed[name] = signal
-        kp, kd = loop.kp.copy(), loop.kd.copy()
-        kp[j], kd[j] = effect.tune(kp[j], kd[j])
+        kp, kd, j = loop.kp.copy(), loop.kd.copy(), list(effect.joints)
+        kp[j] *= actuator.get("stiffness", 1.0)
+        kd[j] *= actuator.get("damping", 1.0)
         loop = replace(loop, kp=kp, kd=kd, **changed)
     return loop
 

@@ -947,7 +947,7 @@ def test_a_finding_of_servos_is_of_their_joints_and_held_out_samples(scale):
 
 def test_a_time_without_end_is_searched_around_its_value():
     from hybrid.diagnosis.evidence.shapes import _near
-    from hybrid.effects.effect import Quantity
+    from hybrid.effects import Quantity
 
     clock = Quantity("start", "s", 1.0, 0.0, 1e9)
     assert (_near(clock, 5.0).lower, _near(clock, 5.0).upper) == (4.0, 6.0)

@@ -25,8 +25,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hybrid.diagnosis.diagnose import examine
-from hybrid.effects import effect_classes
-from hybrid.effects.effect import JointState
+from hybrid.effects import JointState, effect_classes
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError, IdentificationError
 from hybrid.plant import Noise, Plant, random_fourier, simulate

@@ -10,15 +10,16 @@ from arms import MODELS, random_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop import Loop, commanded_torque
+from pendulum import pendulum
 from test_effect_laws import effect, motion_of
 
 from hybrid.dynamics import RigidBody
-from hybrid.effects import JointState, effect_class, effect_classes
+from hybrid.effects import JointState, Scale, effect_class, effect_classes
 from hybrid.effects.backlash import _flight, _link_position
-from hybrid.effects.effect import Scale
 from hybrid.effects.elasticity import _swing
 from hybrid.effects.gravity_tilt import level_axes
 from hybrid.errors import EffectError
+from hybrid.plant import Noise, Plant
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
@@ -214,8 +215,7 @@ def test_a_dead_zone_is_sure_where_nothing_comes_through_and_it_is_soon_crossed(
 
 def test_a_servo_has_its_gains_off_by_a_part():
     law = effect("controller_gain", stiffness=0.5, damping=-0.25)
-    kp, kd = law.tune(np.array([100.0]), np.array([8.0]))
-    assert kp == [150.0] and kd == [6.0]
+    assert law.actuator == {"stiffness": 1.5, "damping": 0.75}
     t = np.linspace(0, 1, 11)
     q, n = np.sin(t)[:, None], 11
     loop = Loop(
@@ -230,8 +230,9 @@ def test_a_servo_has_its_gains_off_by_a_part():
 def test_a_late_command_is_that_of_before_and_is_held_at_the_start():
     t = np.linspace(0, 1, 101)
     law = effect("command_latency", time=0.1)
-    seen = law.command(t, np.stack([t, t**2], axis=1))
-    np.testing.assert_allclose(seen[10:], np.stack([t, t**2], 1)[:-10], atol=1e-12)
+    plant = Plant(pendulum(1), [law], noise=Noise.none(1))
+    seen = plant._commanded(t, t[:, None] ** 2)[:, 0]
+    np.testing.assert_allclose(seen[10:], t[:-10] ** 2, atol=1e-12)
     np.testing.assert_array_equal(seen[:11], 0.0)
 
 
@@ -257,7 +258,7 @@ def test_a_lag_at_each_instant_is_the_lag_of_the_whole(time):
     whole = law.report(t, torque[:, None])[:, 0]
     tolerance = 1e-9 if time < 0 else 0.5 * time * 36 * step * 1.1
     np.testing.assert_allclose(shown[1:], whole[1:], atol=tolerance)
-    assert law.lag == max(time, 0.0)
+    assert law.actuator.get("lag", 0.0) == max(time, 0.0)
 
 
 def test_presliding_in_the_plant_is_that_of_the_path():
@@ -623,9 +624,6 @@ def test_an_effect_of_several_joints_has_the_size_of_the_last():
     assert law.values == pytest.approx(
         {"inertia": 0.005, "viscous": 0.01, "coulomb": 0.08}
     )
-    told = {p.name: (p.lower, p.upper) for p in law.parameters(sizes)}
-    assert told["coulomb"] == pytest.approx((0.0, 1.2))
-    assert told["inertia"] == pytest.approx((0.0, 0.25))
 
 
 @pytest.mark.parametrize(("name", "gain"), [("backlash", 0.004), ("elasticity", 0.003)])

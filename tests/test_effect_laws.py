@@ -12,6 +12,7 @@ from hybrid.dynamics import RigidBody
 from hybrid.effects import JointState, effect_class
 from hybrid.effects.gravity_tilt import level_axes
 from hybrid.effects.presliding import dahl
+from hybrid.plant.lockstep import lagged
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
@@ -294,7 +295,7 @@ def test_a_drive_follows_what_it_reports_with_its_lag(step):
     torque, lag = np.sin(5 * t), effect("actuator_lag", time=0.02)
     delivered, before = [], np.zeros(1)
     for x in torque:
-        before = lag.follow(np.full(1, x), before, step)
+        before = lagged(np.full(1, x), before, lag.actuator["lag"], step)
         delivered.append(before[0])
     ahead = lag.report(t, np.array(delivered)[:, None])[:, 0]
     late = t > 0.5

@@ -54,12 +54,11 @@ from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import Range, fit_shapes, price
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.prior import Prior
-from hybrid.effects import effect_classes
+from hybrid.effects import Quantity, effect_classes
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
-from hybrid.effects.effect import Quantity
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_offset import TorqueOffset

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.effects import effect_class
-from hybrid.effects.effect import Scale
+from hybrid.effects import Scale, effect_class
 from hybrid.plant import Plant
 
 LOAD = {"mass": 1.0, "mx": 0.1, "mz": 0.05, "Ixx": 0.05, "Iyy": 0.06, "Izz": 0.04}

@@ -29,10 +29,8 @@ from hybrid.plant.arm import build_arm, inverse_dynamics
 from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.plant.joint_fields import (
     coupled_rows,
+    curves,
     effects_of_fields,
-    falls,
-    knees,
-    ripples,
     split_effects,
     springs,
     with_curves,
@@ -418,7 +416,7 @@ def test_curves_of_a_file_are_friction_of_its_joints():
         ripple=np.array([[2, 0.3, -0.4, 7.0]]), falling=np.array([[0, 0.6, 0.2]]),
     )  # fmt: skip
     q, v = np.linspace(-1, 1, 9), np.linspace(-1.5, 1.5, 9)
-    ((knee,), (ripple,), (fall,)) = knees(robot), ripples(robot), falls(robot)
+    knee, ripple, fall = curves(robot)
     assert (knee.joints, ripple.joints, fall.joints) == ((1,), (2,), (0,))
     np.testing.assert_allclose(along([knee], q, v, v), 2.0 * np.clip(v / 0.5, -1, 1))
     wave = 0.3 * np.sin(7 * q) - 0.4 * np.cos(7 * q)

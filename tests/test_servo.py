@@ -24,7 +24,7 @@ from hybrid.servo.model import bristles, heights
 from hybrid.servo.noise import Noise, resolution
 from hybrid.servo.problem import Problem
 from hybrid.servo.search import Search
-from hybrid.servo.simulator import ServoSimulator, goals
+from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.start import first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of, without_torque
 from hybrid.servo.write import write_servos
@@ -435,7 +435,7 @@ def test_a_goal_moves_no_faster_than_its_pace():
     jump = steady(goal, goal - 0.4)
     jump.command[0] -= 0.4
     for parts in (1, 4):
-        ramp, other = goals(jump, none, np.array([2.0, 0.0]), parts).T
+        ramp, other = jump.goals(none, np.array([2.0, 0.0]), parts).T
         assert np.diff(ramp).max() == pytest.approx(0.5 / RATE / parts)
         assert ramp[0] == pytest.approx(goal[0] - 0.4)
         assert ramp[-1] == pytest.approx(goal[0])
@@ -449,8 +449,8 @@ def test_a_part_of_a_log_starts_with_the_goals_that_the_whole_has_there(changed)
     whole = Stretch(1 / RATE, command, command, np.zeros(2))
     law = {"delay": 0.0, "pace": 0.0} | changed
     each = [np.full(2, law[name]) for name in ("delay", "pace")]
-    long, first = goals(whole, *each, 2), 400
-    short = goals(whole.cut(first, 100), *each, 2)
+    long, first = whole.goals(*each, 2), 400
+    short = whole.cut(first, 100).goals(*each, 2)
     assert np.abs(short[0] - command[first]).max() > 0.02
     np.testing.assert_allclose(short, long[2 * first :][: len(short)], atol=1e-9)
 

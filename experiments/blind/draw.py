@@ -10,8 +10,7 @@ from blind.independent import INDEPENDENT
 from blind.size import Rig
 from blind.strangers import STRANGERS
 from hybrid.arrays import Array
-from hybrid.effects import Effect, effect_classes
-from hybrid.effects.effect import Port
+from hybrid.effects import Effect, Port, effect_classes
 from hybrid.errors import EffectError, HybridError
 
 # Sums of other laws, which a fit may choose but no cause has.

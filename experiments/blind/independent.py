@@ -17,7 +17,7 @@ import numpy as np
 from blind.past import past
 from blind.strangers import Stranger
 from hybrid.arrays import Array
-from hybrid.effects.effect import JointState, Quantity
+from hybrid.effects import JointState, Quantity
 
 if TYPE_CHECKING:
     import mujoco

@@ -11,8 +11,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import nominal
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.effects import Effect
-from hybrid.effects.effect import Scale
+from hybrid.effects import Effect, Scale
 from hybrid.errors import HybridError
 from hybrid.plant import Noise, Plant, Reference
 from hybrid.plant.scale import joint_scales

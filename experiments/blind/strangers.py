@@ -13,7 +13,7 @@ import numpy as np
 
 from blind.past import past
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity, Scope
+from hybrid.effects import Body, Effect, JointState, Port, Quantity, Scope
 from hybrid.effects.joint_effect import JointEffect
 from hybrid.signals import Motion
 

@@ -101,7 +101,7 @@ class NetworkRegression:
         return self.scale.size
 
     def predict(self, x: ArrayLike) -> Array:
-        """Mean, shape (N, m), [N·m]; see :class:`~hybrid.compensator.Remainder`."""
+        """Mean, shape (N, m), [N·m], as of a mixture."""
         return self.predict_distribution(x)[0]
 
     def predict_distribution(self, x: ArrayLike) -> tuple[Array, Array]:

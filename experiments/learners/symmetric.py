@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
+from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.checks import check_matrix, check_pair
 from hybrid.errors import HybridError, ModelFileError
-
-if TYPE_CHECKING:
-    from hybrid.compensator import Remainder
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +29,7 @@ class SymmetricRegression:
 
     kind: ClassVar[str] = "symmetric"
 
-    inner: Remainder
+    inner: Any
     signs: Array
     parity: float
 
@@ -50,7 +48,7 @@ class SymmetricRegression:
         *,
         signs: ArrayLike,
         parity: float,
-        learn: Callable[..., Remainder],
+        learn: Callable[..., Any],
         **options: Any,
     ) -> SymmetricRegression:
         """Learn from every sample and its mirror image.
@@ -79,7 +77,7 @@ class SymmetricRegression:
         return self.inner.outputs
 
     def predict(self, x: ArrayLike) -> Array:
-        """Mean, shape (N, m), [N·m]; see :class:`~hybrid.compensator.Remainder`."""
+        """Mean, shape (N, m), [N·m], as of a mixture."""
         x = check_matrix("x", x, self.inputs)
         mirrored = self.inner.predict(x * self.signs)
         return 0.5 * (self.inner.predict(x) + self.parity * mirrored)
@@ -103,12 +101,15 @@ class SymmetricRegression:
         Raises:
             ModelFileError: An array is missing or not valid.
         """
-        from hybrid.compensator import REMAINDERS
         from learners.network import NetworkRegression
         from learners.random_features import RandomFeatureRegression
 
-        own_kinds = (RandomFeatureRegression, NetworkRegression)
-        inside = REMAINDERS | {cls.kind: cls for cls in own_kinds}
+        kinds_inside = (
+            GaussianMixtureRegression,
+            RandomFeatureRegression,
+            NetworkRegression,
+        )
+        inside = {cls.kind: cls for cls in kinds_inside}
 
         kinds = {name.partition(":")[0] for name in arrays if ":" in name}
         known = kinds & inside.keys()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +13,6 @@ from hybrid.compensator.checks import check_matrix
 from hybrid.compensator.gmr import GaussianMixtureRegression
 from hybrid.dynamics import Law, Tape
 from hybrid.errors import ModelFileError
-
-if TYPE_CHECKING:
-    from hybrid.compensator import Remainder
 
 
 @dataclass(frozen=True)
@@ -33,7 +29,7 @@ class JointRemainder:
     joint: int
     positions: tuple[int, ...]
     speeds: tuple[int, ...]
-    regression: Remainder
+    regression: GaussianMixtureRegression
 
     def inputs(self, q: Array, v: Array) -> Array:
         """Inputs of the regression from the state of the arm, shape (N, d)."""
@@ -60,11 +56,7 @@ class ArmRemainder:
             v: Speeds, shape (N, n), [rad/s].
         """
         check_matrix("state", np.concatenate([q, v], axis=1), 2 * self.size)
-        tau = self._law.along((q, v))
-        for part in self.parts:
-            if not isinstance(part.regression, GaussianMixtureRegression):
-                tau[:, part.joint] = part.regression.predict(part.inputs(q, v))[:, 0]
-        return tau
+        return self._law.along((q, v))
 
     @cached_property
     def _law(self) -> Law:
@@ -73,10 +65,10 @@ class ArmRemainder:
         names = tuple(f"{x}[{j}]" for x in "qv" for j in range(self.size))
         given = [tape.input(name) for name in names]
         for part in self.parts:
-            if isinstance(part.regression, GaussianMixtureRegression):
-                seen = [*part.positions, *(self.size + j for j in part.speeds)]
-                (mean,), _ = part.regression.at_instant([given[k] for k in seen])
-                torque[part.joint] = mean
+            seen = [*part.positions, *(self.size + j for j in part.speeds)]
+            (torque[part.joint],), _ = part.regression.at_instant(
+                [given[k] for k in seen]
+            )
         return Law(tape, tuple(torque), names)
 
     def predict_distribution(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -124,8 +116,6 @@ class ArmRemainder:
         Raises:
             ModelFileError: The description or the numbers are damaged.
         """
-        from hybrid.compensator import REMAINDERS
-
         parts = []
         for k, item in enumerate(content):
             prefix = f"remainder.{k}."
@@ -133,12 +123,12 @@ class ArmRemainder:
                 x[len(prefix) :]: a for x, a in arrays.items() if x.startswith(prefix)
             }
             try:
-                if (kind := str(item["kind"])) not in REMAINDERS:
-                    valid = " or ".join(REMAINDERS)
+                kind, valid = str(item["kind"]), GaussianMixtureRegression.kind
+                if kind != valid:
                     raise ModelFileError(
                         f"remainder {k} is of kind {kind[:40]!r}; valid is {valid}"
                     )
-                regression = REMAINDERS[kind].from_arrays(own)
+                regression = GaussianMixtureRegression.from_arrays(own)
                 joint = int(str(item["joint"]))
                 positions, speeds = (
                     tuple(int(j) for j in item[key])  # type: ignore[attr-defined]

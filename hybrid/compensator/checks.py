@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
-
-if TYPE_CHECKING:
-    from hybrid.compensator.gmr import GaussianMixtureRegression
 
 
 def check_matrix(name: str, values: ArrayLike, columns: int | None = None) -> Array:
@@ -59,39 +54,3 @@ def draw(
         return x, y
     rows = np.sort(rng.choice(len(x), size, replace=False))
     return x[rows], y[rows]
-
-
-def check_mixture(model: GaussianMixtureRegression) -> None:
-    """Check the arrays of a mixture.
-
-    Raises:
-        HybridError: Shapes disagree, a number is not valid, or a covariance is not
-            positive definite.
-    """
-    k, d, m = model.weights.size, model.input_offset.size, model.bound.size
-    shapes = {
-        "weights": (k,),
-        "means": (k, d + m),
-        "covariances": (k, d + m, d + m),
-        "input_offset": (d,),
-        "input_scale": (d,),
-        "prior_variance": (m,),
-        "bound": (m,),
-        "fade": (2,),
-    }
-    for name, shape in shapes.items():
-        values = getattr(model, name)
-        if values.shape != shape or 0 in shape:
-            raise HybridError(f"{name} has shape {values.shape}, valid is {shape}")
-        if not np.isfinite(values).all():
-            raise HybridError(f"{name} has numbers that are not finite")
-    if not (model.weights > 0).all() or abs(model.weights.sum() - 1) > 1e-6:
-        raise HybridError("weights are not positive with sum 1")
-    if not ((model.input_scale > 0).all() and (model.prior_variance > 0).all()):
-        raise HybridError("input_scale and prior_variance must be positive")
-    if not ((model.bound >= 0).all() and 0 < model.fade[0] < model.fade[1]):
-        raise HybridError("bound must not be negative, and fade must increase from > 0")
-    try:
-        _ = model.conditional
-    except np.linalg.LinAlgError as error:
-        raise HybridError("a covariance is not positive definite") from error

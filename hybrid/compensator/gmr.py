@@ -16,20 +16,34 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, reduce
 from operator import mul
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_matrix, check_mixture
-from hybrid.compensator.conditional import Conditional
+from hybrid.compensator.checks import check_matrix, check_pair, draw
 from hybrid.errors import HybridError, ModelFileError
 
 _ROWS = 4096  # samples at a time, which stay in the cache
 # Inputs are clipped this many standard deviations from the training mean, far outside
 # every component, since squares of larger numbers could overflow in single precision.
 FARTHEST = 1e6
+
+
+class Conditional(NamedTuple):
+    """The mixture conditioned on standardised inputs z.
+
+    With ``w_k = whitening_k z − centre_k``, component k is at squared Mahalanobis
+    distance ``w_kᵀ w_k`` and predicts ``output_mean_k + gain_k w_k``.
+    """
+
+    whitening: Array  # inverse Cholesky factor of Σ_xx, shape (K, d, d)
+    centre: Array  # whitened input means, shape (K, d)
+    gain: Array  # torque per whitened input, shape (K, m, d), [N·m]
+    output_mean: Array  # shape (K, m), [N·m]
+    output_variance: Array  # conditional variance S, shape (K, m), [(N·m)²]
+    log_weight: Array  # log of π_k over the volume of component k, shape (K,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +82,38 @@ class GaussianMixtureRegression:
             values = np.array(getattr(self, field.name), dtype=np.float64, order="C")
             values.setflags(write=False)
             object.__setattr__(self, field.name, values)
-        check_mixture(self)
+        self._check()
+
+    def _check(self) -> None:
+        k, d, m = self.weights.size, self.input_offset.size, self.bound.size
+        shapes = {
+            "weights": (k,),
+            "means": (k, d + m),
+            "covariances": (k, d + m, d + m),
+            "input_offset": (d,),
+            "input_scale": (d,),
+            "prior_variance": (m,),
+            "bound": (m,),
+            "fade": (2,),
+        }
+        for name, shape in shapes.items():
+            values = getattr(self, name)
+            if values.shape != shape or 0 in shape:
+                raise HybridError(f"{name} has shape {values.shape}, valid is {shape}")
+            if not np.isfinite(values).all():
+                raise HybridError(f"{name} has numbers that are not finite")
+        if not (self.weights > 0).all() or abs(self.weights.sum() - 1) > 1e-6:
+            raise HybridError("weights are not positive with sum 1")
+        if not ((self.input_scale > 0).all() and (self.prior_variance > 0).all()):
+            raise HybridError("input_scale and prior_variance must be positive")
+        if not ((self.bound >= 0).all() and 0 < self.fade[0] < self.fade[1]):
+            raise HybridError(
+                "bound must not be negative, and fade must increase from > 0"
+            )
+        try:
+            _ = self.conditional
+        except np.linalg.LinAlgError as error:
+            raise HybridError("a covariance is not positive definite") from error
 
     @property
     def inputs(self) -> int:
@@ -85,9 +130,8 @@ class GaussianMixtureRegression:
         """Number of components K."""
         return self.weights.size
 
-    @classmethod
+    @staticmethod
     def fit(
-        cls,
         x: ArrayLike,
         y: ArrayLike,
         *,
@@ -126,16 +170,23 @@ class GaussianMixtureRegression:
         """
         from hybrid.compensator.gmr_fit import fit_gmr  # scikit-learn is slow to load
 
+        x, y = check_pair(x, y)
+        rng, shape = np.random.default_rng(seed), y.shape[1:]
+        limit = np.abs(y).max(axis=0) if bound is None else np.asarray(bound, float)
+        if limit.shape not in ((), shape):
+            raise HybridError(f"bound has shape {limit.shape}, valid is {shape}")
+        pair, held_out = draw(x, y, max_samples, rng), None
+        if validation is not None:
+            checked = check_pair(*validation, columns=(x.shape[1], y.shape[1]))
+            held_out = draw(*checked, max_samples, rng)
         return fit_gmr(
-            cls,
-            x,
-            y,
+            GaussianMixtureRegression,
+            pair,
+            held_out,
             candidates=candidates if components is None else (components,),
-            validation=validation,
-            rng=np.random.default_rng(seed),
-            covariance_floor=covariance_floor,
-            max_samples=max_samples,
-            bound=bound,
+            bound=np.broadcast_to(limit, shape),
+            floor=covariance_floor,
+            rng=rng,
         )
 
     def predict(self, x: ArrayLike) -> Array:
@@ -258,8 +309,24 @@ class GaussianMixtureRegression:
 
     @cached_property
     def conditional(self) -> Conditional:
-        """The mixture conditioned on its inputs."""
-        return Conditional.of(self.weights, self.means, self.covariances, self.inputs)
+        """The mixture conditioned on its inputs.
+
+        Raises:
+            numpy.linalg.LinAlgError: A covariance is not positive definite.
+        """
+        # The Cholesky factor of the joint covariance contains the factor of Σ_xx, the
+        # regression Σ_yx L⁻ᵀ and the factor of S, without differences of large numbers.
+        d, factor = self.inputs, np.linalg.cholesky(self.covariances)  # (K, d+m, d+m)
+        whitening = np.linalg.solve(factor[:, :d, :d], np.eye(d)[None])
+        log_volume = np.log(np.diagonal(factor[:, :d, :d], axis1=1, axis2=2)).sum(1)
+        return Conditional(
+            whitening=whitening,
+            centre=np.einsum("kij,kj->ki", whitening, self.means[:, :d]),
+            gain=np.ascontiguousarray(factor[:, d:, :d]),
+            output_mean=np.ascontiguousarray(self.means[:, d:]),
+            output_variance=(factor[:, d:, d:] ** 2).sum(2),
+            log_weight=np.log(self.weights) - log_volume,
+        )
 
 
 def _soft_minimum(distance: Sequence[Any]) -> tuple[Any, list[Any]]:

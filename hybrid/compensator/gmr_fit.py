@@ -8,13 +8,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_pair, draw
-from hybrid.errors import HybridError, IdentificationError
+from hybrid.errors import IdentificationError
 
 if TYPE_CHECKING:
     from hybrid.compensator.gmr import GaussianMixtureRegression
@@ -27,32 +25,21 @@ CONSTANT = 1e-12  # relative variation of a channel that counts as constant
 
 def fit_gmr(
     kind: type[GaussianMixtureRegression],
-    x: ArrayLike,
-    y: ArrayLike,
+    pair: tuple[Array, Array],
+    held_out: tuple[Array, Array] | None,
     *,
     candidates: Sequence[int],
-    validation: tuple[ArrayLike, ArrayLike] | None,
+    bound: Array,
+    floor: float,
     rng: np.random.Generator,
-    covariance_floor: float,
-    max_samples: int,
-    bound: ArrayLike | None,
 ) -> GaussianMixtureRegression:
-    """See :meth:`GaussianMixtureRegression.fit`."""
-    x, y = check_pair(x, y)
-    limit = _limit(bound, y)
-    x, y = draw(x, y, max_samples, rng)
-    joint = np.hstack([_standardise(x), _standardise(y)])
-    usable = _usable(candidates, *joint.shape)
-    held_out = None
-    if validation is not None:
-        x_held, y_held = check_pair(*validation, columns=(x.shape[1], y.shape[1]))
-        held_out = draw(x_held, y_held, max_samples, rng)
+    """See :meth:`GaussianMixtureRegression.fit`, of checked samples."""
+    joint = np.hstack([_standardise(values) for values in pair])
     models: dict[int, GaussianMixtureRegression] = {}
     scores: dict[int, float] = {}
-    for count in usable:
-        mixture = _run_em(joint, count, floor=covariance_floor, rng=rng)
-        model = _build(kind, mixture, x, y, bound=limit, floor=covariance_floor)
-        models[count] = model
+    for count in _usable(candidates, *joint.shape):
+        mixture = _run_em(joint, count, floor=floor, rng=rng)
+        models[count] = model = _build(kind, mixture, *pair, bound, floor)
         if held_out is None:
             scores[count] = -mixture.bic(joint) / (2.0 * len(joint))
         else:
@@ -65,10 +52,8 @@ def choose_components(
 ) -> int:
     """The smallest number of components that is as good as the best.
 
-    Args:
-        scores: Log-likelihood per sample by number of components, [nat].
-        indifference: Difference that does not count, [nat per sample]. 0.01 nat is a
-            standard deviation 1 % larger.
+    Scores are log-likelihoods per sample by number of components, [nat]. A difference
+    of 0.01 nat is a standard deviation 1 % larger, and does not count.
     """
     best = max(scores.values())
     return min(k for k, score in scores.items() if score >= best - indifference)
@@ -77,30 +62,14 @@ def choose_components(
 def predictive_log_likelihood(
     model: GaussianMixtureRegression, x: Array, y: Array
 ) -> float:
-    """Mean log-likelihood of y under the predicted mean and variance.
+    """Log-likelihood of y, (N, m), summed over outputs, mean over samples, [nat].
 
     Bound and fade are included, so that a few samples outside the training range cannot
     outweigh all others.
-
-    Args:
-        model: The regression to score.
-        x: Inputs, shape (N, d), [unit of the training inputs].
-        y: Remaining torque, shape (N, m), [N·m].
-
-    Returns:
-        Log-likelihood summed over outputs, mean over samples, [nat].
     """
     mean, variance = model.predict_distribution(x)
     terms = np.log(2.0 * np.pi * variance) + (y - mean) ** 2 / variance
     return float(-0.5 * terms.sum(axis=1).mean())
-
-
-def _limit(bound: ArrayLike | None, y: Array) -> Array:
-    largest: Array = np.abs(y).max(axis=0)
-    limit = largest if bound is None else np.asarray(bound, dtype=np.float64)
-    if limit.shape not in ((), y.shape[1:]):
-        raise HybridError(f"bound has shape {limit.shape}, valid is {y.shape[1:]}")
-    return np.broadcast_to(limit, y.shape[1:])
 
 
 def _usable(candidates: Sequence[int], samples: int, width: int) -> list[int]:
@@ -156,7 +125,6 @@ def _build(
     mixture: GaussianMixture,
     x: Array,
     y: Array,
-    *,
     bound: Array,
     floor: float,
 ) -> GaussianMixtureRegression:

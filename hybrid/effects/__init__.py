@@ -1,16 +1,23 @@
 """The library of effects: one file each, whose law is simulated and fitted."""
 
-from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity, Scale
+from hybrid.effects.effect import Effect, Port, Scope
+from hybrid.effects.instant import Memory, Scalar
 from hybrid.effects.joint_effect import JointEffect
+from hybrid.effects.quantity import Quantity, Scale
+from hybrid.effects.state import Body, JointState, Nominal
 
 __all__ = [
     "Body",
     "Effect",
     "JointEffect",
     "JointState",
+    "Memory",
+    "Nominal",
     "Port",
     "Quantity",
+    "Scalar",
     "Scale",
+    "Scope",
     "effect_class",
     "effect_classes",
     "effect_from_dict",

@@ -1,14 +1,11 @@
 """First-order lag of the drive torque."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity
-from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects import Body, Effect, JointState, Memory, Port, Quantity, Scalar
 from hybrid.signals import Motion
 
 
@@ -55,7 +52,8 @@ class ActuatorLag(Effect):
         """
         (now,), time = torque, self.values["time"]
         known, *past = memory
-        before, filtered = (_either(known > 0.5, x, now) for x in past)
+        started: list[Scalar] = [np.where(known > 0.5, x, now) for x in past]
+        before, filtered = started
         if time >= 0:
             filtered = now + time * (now - before) / step
         else:
@@ -64,27 +62,13 @@ class ActuatorLag(Effect):
         return [filtered], (1.0, now, filtered)
 
     @property
-    def lag(self) -> float:
-        """The time constant of the drive; 0 if the log lags."""
-        return max(self.values["time"], 0.0)
-
-    @property
     def actuator(self) -> Mapping[str, float]:
-        """See :attr:`Instant.actuator`."""
-        return {"lag": self.lag} if self.lag else {}
-
-    def follow(self, torque: Array, before: Array, step: float) -> Array:
-        """One implicit Euler step of the lag, whose delay is exact for any step."""
-        time = self.lag
-        return before + (torque - before) * step / (time + step)
+        """The drive's time constant; none if the log lags."""
+        return {"lag": self.values["time"]} if self.values["time"] > 0 else {}
 
     def measure(self, t: Array, signals: dict[str, Array]) -> dict[str, Array]:
         """Filter the log, if it lags; a lagging drive logs the commanded torque."""
         return signals if self.values["time"] >= 0 else super().measure(t, signals)
-
-
-def _either(condition: Scalar, x: Scalar, y: Scalar) -> Scalar:
-    return np.where(condition, x, y)
 
 
 def _low_pass(x: Array, step: float, time: float) -> Array:

@@ -1,13 +1,10 @@
 """Friction that differs between the two directions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import JointState, Port, Quantity
-from hybrid.effects.joint_effect import JointEffect
+from hybrid.effects import JointEffect, JointState, Port, Quantity
 
 
 class AsymmetricFriction(JointEffect):

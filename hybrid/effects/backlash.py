@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:
@@ -102,11 +102,8 @@ class Backlash(Effect):
 def set_play(model: Any, joints: NDArray[np.intp], half: Array, rotor: Array) -> None:
     """Set other gaps in a compiled model of :meth:`Backlash.edit_spec`.
 
-    Args:
-        model: MuJoCo model.
-        joints: The K joints behind the motors.
-        half: Half of each gap, shape (K,), [rad].
-        rotor: Inertia of each rotor, shape (K,), [kg·m²].
+    Half of each gap [rad] and the inertia of each rotor [kg·m²] have the shape (K,), as
+    the joints behind the motors.
     """
     model.dof_armature[joints] = _GEAR_INERTIA * rotor
     model.jnt_range[joints] = np.stack([-half, half], axis=1)
@@ -116,11 +113,7 @@ def set_play(model: Any, joints: NDArray[np.intp], half: Array, rotor: Array) ->
 def _link_position(acceleration: Array, half: float, step: float) -> Array:
     """Position of a link between its stops, shape (N,), [rad].
 
-    Args:
-        acceleration: Acceleration that the stops must give the link, shape (N,),
-            [rad/s²].
-        half: Half of the gap, [rad].
-        step: Time between samples, [s].
+    The stops must give it an acceleration, shape (N,), [rad/s²].
     """
     up = acceleration >= 0
     away = {1: np.flatnonzero(~up), -1: np.flatnonzero(up)}  # from each of the stops

@@ -1,13 +1,11 @@
 """Latency of the command."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 
@@ -34,12 +32,3 @@ class CommandLatency(Effect):
     def actuator(self) -> Mapping[str, float]:
         """See :attr:`Instant.actuator`."""
         return {"latency": self.values["time"]} if self.values["time"] > 0 else {}
-
-    def setting(self, kp: float, kd: float) -> str:
-        """See :meth:`Instant.setting`."""
-        return f"delay commands by {1000 * self.values['time']:.3g} ms"
-
-    def command(self, t: Array, signal: Array) -> Array:
-        """The signal at an earlier time; constant before the first sample."""
-        late = t - self.values["time"]
-        return np.stack([np.interp(late, t, x) for x in signal.T], axis=1)

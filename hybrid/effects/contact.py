@@ -1,11 +1,9 @@
 """A temporary contact of the last link."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 

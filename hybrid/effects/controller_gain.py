@@ -1,14 +1,12 @@
 """Servo gains that differ from the stated ones."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 
@@ -42,13 +40,3 @@ class ControllerGain(Effect):
     def actuator(self) -> Mapping[str, float]:
         """See :attr:`Instant.actuator`."""
         return {name: 1.0 + self.values[name] for name in ("stiffness", "damping")}
-
-    def setting(self, kp: float, kd: float) -> str:
-        """See :meth:`Instant.setting`."""
-        true = self.tune(np.array(kp), np.array(kd))
-        return "use kp = {:.4g} and kd = {:.4g}".format(*true)
-
-    def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
-        """The true gains."""
-        stiffness, damping = 1.0 + self.gain_values
-        return kp * stiffness, kd * damping

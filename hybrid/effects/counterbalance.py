@@ -1,15 +1,12 @@
 """A cylinder or spring that balances a part of the arm's weight."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import JointState, Port, Quantity
-from hybrid.effects.joint_effect import JointEffect
+from hybrid.effects import JointEffect, JointState, Port, Quantity
 
 
 class Counterbalance(JointEffect):
@@ -39,7 +36,7 @@ class Counterbalance(JointEffect):
     sentence = "A counterbalance carries part of the weight on {joints}."
     remedy = "Add the cylinder as a tendon between its two pivots."
 
-    def as_reported(self) -> Counterbalance:
+    def as_reported(self) -> Self:
         """The same with its dead centre between −π and π."""
         angle = self.values["dead_centre"]
         if abs(angle) <= np.pi:

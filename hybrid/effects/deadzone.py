@@ -1,14 +1,11 @@
 """A dead zone of the drive for small torques."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
-from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects import Body, Effect, Memory, Port, Quantity, Scalar
 from hybrid.signals import Motion
 
 # Slope of the law within the zone when it is inverted, so that the commanded torque

@@ -1,14 +1,12 @@
 """A time shift between logged torque and position."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 

@@ -13,22 +13,10 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects.in_plant import InPlant
 from hybrid.effects.instant import Instant
-from hybrid.effects.nominal import Nominal
 from hybrid.effects.quantity import Quantity, Scale
-from hybrid.effects.state import Body, JointState
+from hybrid.effects.state import Body, Nominal
 from hybrid.errors import EffectError
-from hybrid.parameters import Parameter
 from hybrid.signals import Motion
-
-__all__ = [
-    "Body",
-    "Effect",
-    "JointState",
-    "Port",
-    "Quantity",
-    "Scale",
-    "Scope",
-]
 
 Scope = Literal["joint", "coupling", "arm"]
 
@@ -180,21 +168,6 @@ class Effect(InPlant, Instant, ABC):
         """Values of the shapes by name."""
         return {s.name: self.values[s.name] for s in self.shapes}
 
-    def parameters(self, scales: Sequence[Scale]) -> tuple[Parameter, ...]:
-        """Gains and shapes with units, bounds and standard deviations."""
-        scale = scales[self.joints[-1]]
-        return tuple(
-            Parameter(
-                x.name,
-                self.values[x.name],
-                min(x.lower, self.values[x.name]),
-                max(x.upper, self.values[x.name]),
-                x.unit,
-                self.std.get(x.name, float("nan")),
-            )
-            for x in (y.scaled(scale) for y in (*self.gains, *self.shapes))
-        )
-
     @classmethod
     def places(cls, size: int) -> Iterator[tuple[int, ...]]:
         """Every tuple of joints that it may act on, on an arm of ``size`` joints."""
@@ -267,16 +240,10 @@ class Effect(InPlant, Instant, ABC):
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """Start values of the shapes from the motions, in addition to a grid.
+        """Start values of the shapes by name, in addition to a grid.
 
-        For laws that fit only near their own shapes.
-
-        Args:
-            motions: Motions with the delivered and the commanded torque, [N·m].
-            j: Index of the joint.
-
-        Returns:
-            Value of every shape in its unit, by name; empty by default.
+        For laws that fit only near their own shapes, which motions with the delivered
+        and the commanded torque of a joint show.
         """
         return {}
 

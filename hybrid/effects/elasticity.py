@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:
@@ -124,13 +124,9 @@ class Elasticity(Effect):
 def _swing(signals: Array, h: float) -> Array:
     """Solve m d̈ + c ḋ + k d = −load from rest under the first load, shape (N,).
 
-    Newmark's rule of average acceleration, which is stable for any step.
-
-    Args:
-        signals: Mass m, damping c, stiffness k and load, shape (4, N).
-        h: Time between samples, [s].
-
-    Source: Newmark 1959, doi 10.1061/JMCEA3.0000098.
+    Signals are mass m, damping c, stiffness k and load, shape (4, N), samples a time h
+    apart. Newmark's rule of average acceleration is stable for any step (Newmark 1959,
+    doi 10.1061/JMCEA3.0000098).
     """
     mass, drag, stiff, load = signals
     inner = slice(1, -1)

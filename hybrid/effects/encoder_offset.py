@@ -1,14 +1,11 @@
 """Offset of the encoder's zero from that of the robot file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
-from hybrid.effects.instant import Scalar
+from hybrid.effects import Body, Effect, Port, Quantity, Scalar
 from hybrid.signals import Motion
 
 

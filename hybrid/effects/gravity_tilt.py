@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 class InPlant:
     """An effect in a plant. Each hook is the identity by default.
 
-    B trajectories run together; k is the number of the effect's joints.
+    B trajectories run together; k is the number of the effect's joints. A plant has the
+    latency, the servo gains and the lag of :attr:`actuator` as well.
     """
 
     id: ClassVar[str]
@@ -49,32 +50,9 @@ class InPlant:
             name=f"{name}/{self.behind}", type=motor.type, axis=motor.axis
         )
 
-    def command(self, t: Array, signal: Array) -> Array:
-        """A commanded signal as the controller receives it, shape (N, k)."""
-        return signal
-
-    def tune(self, kp: Array, kd: Array) -> tuple[Array, Array]:
-        """True stiffness and damping of the servo, shape (k,) each."""
-        return kp, kd
-
     def deliver(self, torque: Array) -> Array:
-        """Delivered torque for a commanded one, shape (B,), [N·m]."""
+        """Delivered torque for a commanded one, shape (B, k), [N·m]."""
         return torque
-
-    def follow(self, torque: Array, before: Array, step: float) -> Array:
-        """Delivered torque of a drive with memory, shape (B,), [N·m].
-
-        Args:
-            torque: Commanded torque, shape (B,), [N·m].
-            before: Torque delivered one step ago, shape (B,), [N·m].
-            step: Length of the step, [s].
-        """
-        return self.deliver(torque)
-
-    @property
-    def lag(self) -> float:
-        """Time constant of the drive, which limits the servo, [s]."""
-        return 0.0
 
     def resist(self, state: JointState, before: Array, step: float) -> Array:
         """Resisting torque with memory, shape (B, k), [N·m].

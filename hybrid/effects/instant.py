@@ -52,15 +52,6 @@ class Instant:
         """Equivalent changes of an actuator, by the names of ``Actuator``."""
         return {}
 
-    def setting(self, kp: float, kd: float) -> str:
-        """Instruction to set a servo to it, in words; empty for other effects.
-
-        Args:
-            kp: Declared stiffness, [N·m/rad].
-            kd: Declared damping, [N·m·s/rad].
-        """
-        return ""
-
     def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array] | None:
         """Change of the rigid body with the same torque as the effect, or None.
 

@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity, Scale, Scope
-from hybrid.effects.nominal import Nominal
+from hybrid.effects import Body, Effect, Nominal, Port, Quantity, Scale, Scope
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
 if TYPE_CHECKING:
     import mujoco
-
-_GAINS = (
-    Quantity("mass", "kg", 2.0, 0.0, 50.0),
-    Quantity("mx", "kg·m", 0.0, -20.0, 20.0),
-    Quantity("my", "kg·m", 0.0, -20.0, 20.0),
-    Quantity("mz", "kg·m", 0.2, -20.0, 20.0),
-    Quantity("Ixx", "kg·m²", 0.022, 0.0, 20.0),
-    Quantity("Ixy", "kg·m²", 0.0, -10.0, 10.0),
-    Quantity("Iyy", "kg·m²", 0.022, 0.0, 20.0),
-    Quantity("Ixz", "kg·m²", 0.0, -10.0, 10.0),
-    Quantity("Iyz", "kg·m²", 0.0, -10.0, 10.0),
-    Quantity("Izz", "kg·m²", 0.002, 0.0, 20.0),
-)
-
 
 _LINK_STD = 0.15  # relative standard deviation of the parameters of a link
 # Standard deviation of payload parameters over the median mass of the links: 1, m, m².
@@ -36,42 +21,45 @@ _PAYLOAD_STD = (1.0, *[0.1] * 3, *[0.02] * 6)
 _LEAST_MASS = 0.1  # kg, smallest median mass
 
 
-class LinkInertia(Effect):
-    """Change of one link's ten inertial parameters, about the link's frame origin.
+class Payload(Effect):
+    """Ten inertial parameters of a payload at the last link, about its frame origin.
 
     The link is the one that the last of ``joints`` moves. It loads all joints up to
     that one, so ``joints`` always contains all of them.
     """
 
-    id = "link_inertia"
+    id = "payload"
     port = Port.BODY
-    inborn = True
-    scope: ClassVar[Scope] = "coupling"
+    told_apart: ClassVar[Mapping[str, str]] = {
+        "link_inertia": "take off what the arm carries and repeat a motion"
+    }
+    scope: ClassVar[Scope] = "arm"
     differentiates = True
-    gains = _GAINS
-    equation = "τ = Y_k(q, v, a) · Δπ_k"
+    gains = (
+        Quantity("mass", "kg", 2.0, 0.0, 50.0),
+        Quantity("mx", "kg·m", 0.0, -20.0, 20.0),
+        Quantity("my", "kg·m", 0.0, -20.0, 20.0),
+        Quantity("mz", "kg·m", 0.2, -20.0, 20.0),
+        Quantity("Ixx", "kg·m²", 0.022, 0.0, 20.0),
+        Quantity("Ixy", "kg·m²", 0.0, -10.0, 10.0),
+        Quantity("Iyy", "kg·m²", 0.022, 0.0, 20.0),
+        Quantity("Ixz", "kg·m²", 0.0, -10.0, 10.0),
+        Quantity("Iyz", "kg·m²", 0.0, -10.0, 10.0),
+        Quantity("Izz", "kg·m²", 0.002, 0.0, 20.0),
+    )
+    equation = "τ = Y_n(q, v, a) · π_payload"
     source = "Atkeson et al. 1986, doi 10.1177/027836498600500306"
-    sentence = "Mass or inertia of the link at {joints} is not the simulator's."
-    remedy = "Correct the link's mass, centre of mass and inertia."
+    sentence = "The arm carries a payload that the simulator does not know."
+    remedy = "Add the payload's mass, centre of mass and inertia to the last link."
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "joints", tuple(range(max(self.joints) + 1)))
 
-    @classmethod
-    def places(cls, size: int) -> Iterator[tuple[int, ...]]:
-        """Every link, with all joints up to it."""
-        yield from (tuple(range(k + 1)) for k in range(size))
-
-    @property
-    def at_joints(self) -> tuple[int, ...]:
-        """The joint that moves the link."""
-        return self.joints[-1:]
-
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
-        """A standard deviation of 15 % of each parameter, with both signs."""
-        std = _LINK_STD * nominal.size[self.joints[-1]]
-        return std, np.full(len(std), -np.inf)
+        """A standard deviation of the median mass of the links."""
+        mass = max(float(np.median(nominal.inertial[:, 0])), _LEAST_MASS)
+        return np.array(_PAYLOAD_STD) * mass, self.least_gains
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, len(joints), 10)."""
@@ -105,28 +93,28 @@ class LinkInertia(Effect):
         body.fullinertia = about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
-class Payload(LinkInertia):
-    """Ten inertial parameters of a payload at the last link."""
+class LinkInertia(Payload):
+    """Change of one link's ten inertial parameters, about the link's frame origin."""
 
-    id = "payload"
-    inborn = False
-    told_apart = {"link_inertia": "take off what the arm carries and repeat a motion"}
-    scope = "arm"
-    equation = "τ = Y_n(q, v, a) · π_payload"
-    sentence = "The arm carries a payload that the simulator does not know."
-    remedy = "Add the payload's mass, centre of mass and inertia to the last link."
+    id = "link_inertia"
+    inborn = True
+    told_apart: ClassVar[Mapping[str, str]] = {}
+    scope: ClassVar[Scope] = "coupling"
+    equation = "τ = Y_k(q, v, a) · Δπ_k"
+    sentence = "Mass or inertia of the link at {joints} is not the simulator's."
+    remedy = "Correct the link's mass, centre of mass and inertia."
 
     @classmethod
     def places(cls, size: int) -> Iterator[tuple[int, ...]]:
-        """The whole arm."""
-        yield tuple(range(size))
+        """Every link, with all joints up to it."""
+        yield from (tuple(range(k + 1)) for k in range(size))
 
     @property
     def at_joints(self) -> tuple[int, ...]:
-        """The whole arm."""
-        return self.joints
+        """The joint that moves the link."""
+        return self.joints[-1:]
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
-        """A standard deviation of the median mass of the links."""
-        mass = max(float(np.median(nominal.inertial[:, 0])), _LEAST_MASS)
-        return np.array(_PAYLOAD_STD) * mass, self.least_gains
+        """A standard deviation of 15 % of each parameter, with both signs."""
+        std = _LINK_STD * nominal.size[self.joints[-1]]
+        return std, np.full(len(std), -np.inf)

@@ -1,14 +1,11 @@
 """Dry friction with presliding (Dahl's model)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity
-from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects import Body, Effect, JointState, Memory, Port, Quantity, Scalar
 from hybrid.signals import Motion
 
 _BEFORE = 0.1  # s of motion assumed before a log, which give the initial state

@@ -16,7 +16,8 @@ from types import ModuleType
 from typing import Any
 
 from hybrid.arguments import check_argument
-from hybrid.effects.effect import Effect, Scale
+from hybrid.effects.effect import Effect
+from hybrid.effects.quantity import Scale
 from hybrid.errors import EffectError
 from hybrid.names import printable
 
@@ -126,11 +127,7 @@ def effect_class(effect_id: str) -> type[Effect]:
 
 
 def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect:
-    """The effect that :meth:`Effect.as_dict` described.
-
-    Args:
-        content: ``effect``, ``joints`` (names), ``values`` and optionally ``std``.
-        names: Joint names of the arm.
+    """The effect that :meth:`Effect.as_dict` described, given the arm's joint names.
 
     Raises:
         EffectError: The effect, a joint or a parameter is unknown.

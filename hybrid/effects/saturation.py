@@ -1,14 +1,12 @@
 """Saturation of the drive torque."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
+from typing import Self
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
-from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects import Body, Effect, Memory, Port, Quantity, Scalar
 from hybrid.signals import Motion
 
 _CLIPPED = 0.9  # loss from which a drive counts as clipping
@@ -90,7 +88,7 @@ class Saturation(Effect):
         """A drive that clips loses nearly all of the excess; shape (1,)."""
         return np.array([_LEAST_CLIPPED * self.values["total"]])
 
-    def as_reported(self) -> Saturation:
+    def as_reported(self) -> Self:
         """The loss p/(1 − p) of the delivered excess as the loss p of the reported."""
         gain = self.values["loss"]
         if self.values["total"]:

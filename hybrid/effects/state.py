@@ -1,4 +1,4 @@
-"""Inputs of laws: the state of one joint, and the rigid body."""
+"""Inputs of laws: the state of one joint, the rigid body, and the robot file."""
 
 from __future__ import annotations
 
@@ -29,6 +29,25 @@ class JointState:
     sign: Array
     load: Array
     temperature: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """Parameters of an arm of n joints in its file.
+
+    Attributes:
+        inertial: Parameters of each link, shape (n, 10).
+        size: Magnitude of each of them, the unit of its error, shape (n, 10).
+        armature: Rotor inertia of each joint, shape (n,), [kg·m²].
+        damping: Viscous friction, shape (n,), [N·m·s/rad].
+        frictionloss: Dry friction, shape (n,), [N·m].
+    """
+
+    inertial: Array
+    size: Array
+    armature: Array
+    damping: Array
+    frictionloss: Array
 
 
 class Body(Protocol):

@@ -1,15 +1,12 @@
 """Stribeck friction, which falls with speed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import JointState, Port, Quantity
-from hybrid.effects.joint_effect import JointEffect
+from hybrid.effects import JointEffect, JointState, Port, Quantity
 
 
 class Stribeck(JointEffect):

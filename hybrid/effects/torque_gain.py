@@ -1,12 +1,9 @@
 """Error of the torque constant."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, Port, Quantity
-from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects import Body, Effect, Memory, Port, Quantity, Scalar
 from hybrid.signals import Motion
 
 

@@ -1,13 +1,10 @@
 """Constant offset of the reported torque."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import JointState, Port, Quantity
-from hybrid.effects.joint_effect import JointEffect
+from hybrid.effects import JointEffect, JointState, Port, Quantity
 
 
 class TorqueOffset(JointEffect):

@@ -1,15 +1,12 @@
 """Torque that repeats with joint position."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import JointState, Port, Quantity
-from hybrid.effects.joint_effect import JointEffect
+from hybrid.effects import JointEffect, JointState, Port, Quantity
 
 
 class TorqueRipple(JointEffect):

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import Body, Effect, JointState, Port, Quantity
-from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects import Body, Effect, JointState, Memory, Port, Quantity, Scalar
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from hybrid.arrays import Array
-from hybrid.effects.effect import JointState, Port, Quantity
-from hybrid.effects.joint_effect import JointEffect
+from hybrid.effects import JointEffect, JointState, Port, Quantity
 
 if TYPE_CHECKING:
     import mujoco

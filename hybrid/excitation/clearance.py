@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import frames
 from hybrid.errors import warn
-from hybrid.excitation.constraints import Index, Limits
+from hybrid.excitation.constraints import Constraint, Index, Limits
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Chain
 from hybrid.robot.geometry import Capsules, capsules_from_robot
@@ -25,7 +24,7 @@ _JOINED = 0.95  # share of postures in contact above which a pair is joined by d
 
 
 @dataclass(frozen=True, eq=False)
-class Clearance:
+class Clearance(Constraint):
     """A least distance between links that are not neighbours.
 
     Capsules cover the geometry of the links, so their distance is a lower bound.
@@ -36,8 +35,6 @@ class Clearance:
         pairs: Links to keep apart, −1 for the base, shape (K, 2).
         margin: Least distance, [m].
     """
-
-    is_linear: ClassVar[bool] = False
 
     robot: Robot
     capsules: Capsules
@@ -141,7 +138,7 @@ class Clearance:
 
 
 @dataclass(frozen=True, eq=False)
-class Floor:
+class Floor(Constraint):
     """A height in the base frame that every moving link stays above.
 
     Attributes:
@@ -149,8 +146,6 @@ class Floor:
         capsules: Capsules that cover its links.
         height: The height, [m].
     """
-
-    is_linear: ClassVar[bool] = False
 
     robot: Robot
     capsules: Capsules
@@ -207,12 +202,8 @@ def point_change(
 ) -> Array:
     """Derivative by the joint positions of points along a direction, shape (N, n).
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        link: Link of the points, −1 for the base; one for all, or shape (N,).
-        point: Points in the base frame, shape (N, 3), [m].
-        direction: Direction in the base frame, shape (N, 3).
+    Points, shape (N, 3), [m], and directions, shape (N, 3), are in the base frame. The
+    link of the points is −1 for the base, and one for all or shape (N,).
     """
     out = np.zeros_like(q)
     _, origin, axis = frames(chain, q)
@@ -226,16 +217,9 @@ def point_change(
 
 
 def closest_points(first: Array, second: Array) -> tuple[Array, Array]:
-    """Closest points of two segments.
+    """Closest points of two segments with end points of shape (..., 2, 3), [m].
 
     See Ericson 2005, Real-Time Collision Detection, section 5.1.9.
-
-    Args:
-        first: End points, shape (..., 2, 3), [m].
-        second: End points, shape (..., 2, 3), [m].
-
-    Returns:
-        Points on the first and on the second, each of shape (..., 3), [m].
     """
     p, d = first[..., 0, :], first[..., 1, :] - first[..., 0, :]
     r, e = second[..., 0, :], second[..., 1, :] - second[..., 0, :]

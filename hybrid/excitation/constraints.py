@@ -23,7 +23,7 @@ Index = NDArray[np.intp]
 class Constraint(Protocol):
     """K conditions on each sample of a motion."""
 
-    is_linear: ClassVar[bool]
+    is_linear: ClassVar[bool] = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -126,7 +126,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class MotionLimits:
+class MotionLimits(Constraint):
     """Position, speed, acceleration and jerk of every joint.
 
     Attributes:
@@ -178,15 +178,13 @@ class MotionLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class TorqueLimits:
+class TorqueLimits(Constraint):
     """Torque of the nominal arm: rigid body, rotors and friction of its file.
 
     Attributes:
         robot: The arm.
         limit: Highest torque, shape (n,), [N·m].
     """
-
-    is_linear: ClassVar[bool] = False
 
     robot: Robot
     limit: Array

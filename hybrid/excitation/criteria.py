@@ -23,6 +23,7 @@ class Criterion(Protocol):
 
     def value(self, gram: Array) -> float:
         """The measure of the information, shape (b, b)."""
+        return float(np.exp(self.smooth(gram, 1.0)[0]))
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """Logarithm of the measure, and its derivative by G, shape (b, b).
@@ -34,7 +35,7 @@ class Criterion(Protocol):
 
 
 @dataclass(frozen=True)
-class Condition:
+class Condition(Criterion):
     """Ratio of the largest to the smallest singular value of W."""
 
     def value(self, gram: Array) -> float:
@@ -51,15 +52,11 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class DOptimal:
+class DOptimal(Criterion):
     """Volume of the confidence ellipsoid: geometric mean of its axes, det(G)^(−1/2b).
 
     The best motion does not depend on the scale of the columns.
     """
-
-    def value(self, gram: Array) -> float:
-        """See :class:`Criterion`."""
-        return float(np.exp(self.smooth(gram, 1.0)[0]))
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`Criterion`; it is smooth, and ``power`` is not used."""

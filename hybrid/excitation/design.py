@@ -26,7 +26,7 @@ from hybrid.excitation.folder import DESIGN, reference_paths, write_reference
 from hybrid.excitation.observation import Observation, rigid_conditions
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
-from hybrid.excitation.solver import PENALTY, Optimum, solve
+from hybrid.excitation.solver import PENALTY, solve
 from hybrid.files import atomic_folder, write_json
 from hybrid.robot.robot import Robot
 from hybrid.shown import Shown
@@ -278,7 +278,10 @@ def best_point(
         optima, key=lambda x: (x.excess > 0.01, x.value + PENALTY * x.excess)
     )
     for power, iterations in _POLISH:
-        solution = _continued(replace(program, power=power), solution, iterations)
+        sharp = replace(program, power=power)
+        solution = solve(
+            sharp, solution.x, iterations=iterations, curvature=solution.curvature
+        )
     margin, penalty = program.margin, PENALTY
     for _ in range(_REPAIRS):
         excess = program.verified(solution.x)
@@ -290,24 +293,15 @@ def best_point(
         # Between the samples of the design grid a torque may be a little higher, or a
         # distance smaller.
         margin += 1.2 * worst
-        sharp = replace(program, power=_POLISH[-1][0], margin=margin)
-        solution = _continued(sharp, solution, _REPAIR_ITERATIONS, penalty)
+        inner, last = replace(sharp, margin=margin), solution
+        solution = solve(
+            inner,
+            last.x,
+            iterations=_REPAIR_ITERATIONS,
+            curvature=last.curvature,
+            penalty=penalty,
+        )
     raise ExcitationError(_infeasible(excess))
-
-
-def _continued(
-    program: MotionProgram,
-    last: Optimum,
-    iterations: int,
-    penalty: float = PENALTY,
-) -> Optimum:
-    return solve(
-        program,
-        last.x,
-        iterations=iterations,
-        curvature=last.curvature,
-        penalty=penalty,
-    )
 
 
 def _infeasible(excess: Mapping[str, float]) -> str:

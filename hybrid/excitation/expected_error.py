@@ -30,7 +30,7 @@ from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.excitation.criteria import spectrum
+from hybrid.excitation.criteria import Criterion, spectrum
 from hybrid.excitation.observation import Observation
 from hybrid.excitation.path import Path
 from hybrid.plant.scale import joint_scales
@@ -43,8 +43,8 @@ _WEAK_PRIOR = 1e-9  # prior precision of a gain of X, which keeps the inverse fi
 
 
 @dataclass(frozen=True, eq=False)
-class ExpectedError:
-    """Expected RMS torque error on future motions, geometric mean over joints.
+class ExpectedError(Criterion):
+    """Expected RMS torque error on future motions [N·m], geometric mean over joints.
 
     Attributes:
         observation: Columns X of the fit, then columns Z of the structure.
@@ -68,10 +68,6 @@ class ExpectedError:
         Y = np.swapaxes(coloured @ wide.matrix(whole), 0, 1)  # (n, N, b)
         moments = np.swapaxes(Y, 1, 2) @ Y / len(whole.t)
         return cls(wide, observation.size, np.asarray(moments))
-
-    def value(self, gram: Array) -> float:
-        """See :class:`~hybrid.excitation.criteria.Criterion`; in [N·m]."""
-        return float(np.exp(self.smooth(gram, 1.0)[0]))
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`~hybrid.excitation.criteria.Criterion`; smooth as it is."""

@@ -86,46 +86,36 @@ class Spline:
     and acceleration are zero there. The motion may end at another position.
 
     Attributes:
-        length: Duration of the motion, [s].
-        points: Number of free control points m, at least 3.
+        duration: Length of the motion, [s].
+        size: Number of free control points m, at least 3.
     """
 
-    length: float = 10.0
-    points: int = 12
+    duration: float = 10.0
+    size: int = 12
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.length) and self.length > 0):
-            raise ExcitationError(f"length is {self.length:g} s, above 0 is valid")
-        if self.points < 3:
-            raise ExcitationError(f"points is {self.points}, 3 or more are valid")
-
-    @property
-    def duration(self) -> float:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return self.length
-
-    @property
-    def size(self) -> int:
-        """See :class:`~hybrid.excitation.path.Family`."""
-        return self.points
+        if not (np.isfinite(self.duration) and self.duration > 0):
+            raise ExcitationError(f"length is {self.duration:g} s, above 0 is valid")
+        if self.size < 3:
+            raise ExcitationError(f"points is {self.size}, 3 or more are valid")
 
     @cached_property
     def _spline(self) -> BSpline:
-        control = np.eye(self.points)
+        control = np.eye(self.size)
         control = np.vstack([control[:1], control[:1], control, *[control[-1:]] * 2])
-        inner = np.linspace(0.0, self.length, len(control) - _DEGREE + 1)
+        inner = np.linspace(0.0, self.duration, len(control) - _DEGREE + 1)
         knots = np.concatenate(
-            [np.zeros(_DEGREE), inner, np.full(_DEGREE, self.length)]
+            [np.zeros(_DEGREE), inner, np.full(_DEGREE, self.duration)]
         )
         return BSpline(knots, control, _DEGREE)
 
     def basis(self, t: Array, derivative: int) -> Array:
         """See :class:`~hybrid.excitation.path.Family`."""
-        return np.asarray(self._spline(np.minimum(t, self.length), nu=derivative))
+        return np.asarray(self._spline(np.minimum(t, self.duration), nu=derivative))
 
     def as_dict(self) -> dict[str, Any]:
         """See :class:`~hybrid.excitation.path.Family`."""
-        return {"name": "spline", "length": self.length, "points": self.points}
+        return {"name": "spline", "length": self.duration, "points": self.size}
 
 
 def harmonics(t: Array, order: int, fundamental: float, derivative: int) -> Array:

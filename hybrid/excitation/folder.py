@@ -21,10 +21,7 @@ def write_reference(
 ) -> None:
     """Write a reference: time [s], then q [rad], v [rad/s] and a [rad/s²].
 
-    Args:
-        path: CSV file; columns are ``t``, ``q_<joint>``, ``v_<joint>``, ``a_<joint>``.
-        reference: Motion of n joints.
-        joints: Joint names, length n.
+    Columns are ``t``, ``q_<joint>``, ``v_<joint>``, ``a_<joint>``.
     """
     header = ["t", *(f"{x}_{name}" for x in "qva" for name in joints)]
     with (

@@ -67,12 +67,9 @@ class Observation:
         return effect_gains(self.effects)
 
     def matrix(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
-        """The observation matrix, shape (N, n, b).
+        """The observation matrix of a motion of N samples, shape (N, n, b).
 
-        Args:
-            path: Motion, N samples.
-            turning_speed: Speed within which dry friction is smoothed, [rad/s]; 0 for a
-                step.
+        Dry friction is smoothed within a speed, [rad/s]; 0 is a step.
         """
         rigid, gains = self._kept
         Y = np.empty((len(path.t), self.chain.size, self.size))
@@ -90,12 +87,8 @@ class Observation:
     def gradient(self, path: Path, weight: Array) -> tuple[Array, Array, Array]:
         """Derivatives of ``sum(weight * matrix(path))`` by the motion.
 
-        Args:
-            path: Motion, N samples.
-            weight: Weight of each entry, shape (N, n, b).
-
-        Returns:
-            Derivatives by q, v and a, each of shape (N, n).
+        The weight has the shape (N, n, b), and the derivatives by q, v and a (N, n)
+        each.
         """
         rigid, gains = self._kept
         seed = self.whitening.T @ weight * self.scale
@@ -116,10 +109,8 @@ class Observation:
     ) -> Observation:
         """Append the columns of effects that the fit leaves out.
 
-        Args:
-            effects: Effects that the arm may have; gains whose columns depend on the
-                present ones are left out.
-            sizes: Unit in which each of their gains is counted.
+        Gains whose columns depend on the present ones are left out. Each is counted in
+        one of the ``sizes``.
         """
         every = (*self.effects, *effects)
         base = stacked_base(self.chain, every, effect_gains(every))
@@ -205,15 +196,11 @@ def observe(
 
 
 def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
-    """Choices of base columns among the 10n of the regressor, by name.
+    """Choices of base columns among the 10n of the regressor H, (rows, 10n), by name.
 
     ``first independent columns`` goes from base to tip and keeps each column that does
     not depend on those before, the same for every motion. ``columns by pivoted QR``
     always takes the largest remaining one.
-
-    Args:
-        chain: The arm.
-        H: Observation matrix of all columns, shape (rows, 10n).
     """
     kept = stacked_base(chain, (), ()).kept
     _, order = qr(H, mode="r", pivoting=True)

@@ -138,13 +138,9 @@ class Grid:
 
 
 def quintic(t: Array, q: Array, v: Array, a: Array) -> BPoly:
-    """Polynomials of degree five through states at K times, in Bernstein form.
+    """Polynomials of degree five through states at K rising times [s], Bernstein form.
 
-    Args:
-        t: Times, rising, shape (K,), [s].
-        q: Positions, shape (K, ...).
-        v: Speeds, the same.
-        a: Accelerations, the same.
+    Positions, speeds and accelerations have the shape (K, ...).
     """
     h = np.diff(t).reshape(-1, *[1] * (q.ndim - 1))
     first, last = h * v[:-1] / 5, h * v[1:] / 5

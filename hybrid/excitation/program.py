@@ -150,7 +150,7 @@ class MotionProgram:
         return np.asarray(self.known + sum(map(self.observation.gram, paths)))
 
     def objective(self, x: Array) -> tuple[float, Array]:
-        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
+        """The criterion of all motions, and its gradient, shape (T·m·n,)."""
         paths = [self.grid.path(self.coefficients(y)) for y in self.parts(x)]
         matrices = [self.observation.matrix(path) for path in paths]
         rows = [W.reshape(-1, self.observation.size) for W in matrices]
@@ -163,7 +163,7 @@ class MotionProgram:
         return value, np.concatenate(slopes)
 
     def conditions(self, x: Array) -> tuple[Array, Array]:
-        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
+        """Conditions near their limit: excess, (M,), and slope, (M, T·m·n)."""
         found = [self._conditions(part) for part in self.parts(x)]
         values, slopes = zip(*found, strict=True)
         return np.concatenate(values), block_diag(*slopes)
@@ -191,7 +191,7 @@ class MotionProgram:
         return np.concatenate(values), np.concatenate(slopes)
 
     def excess(self, x: Array) -> float:
-        """See :class:`~hybrid.excitation.solver.ConstrainedProblem`."""
+        """Largest excess of all conditions; feasible if not above zero."""
         return max(map(self._excess, self.parts(x)))
 
     def _excess(self, x: Array) -> float:

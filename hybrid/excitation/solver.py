@@ -9,28 +9,18 @@ penalty, damped BFGS).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybrid.arrays import Array
 
+if TYPE_CHECKING:
+    from hybrid.excitation.program import MotionProgram
+
 PENALTY = 5.0  # of the largest excess, against an objective of order 1
 _FIRST_REACH, _MOST_REACH, _LEAST_REACH = 0.1, 0.5, 1e-5
 _ENOUGH = 1e-6  # predicted decrease at which to stop
-
-
-class ConstrainedProblem(Protocol):
-    """An objective to minimise under conditions."""
-
-    def objective(self, x: Array) -> tuple[float, Array]:
-        """Value, and gradient of shape (d,)."""
-
-    def conditions(self, x: Array) -> tuple[Array, Array]:
-        """Conditions near their limit: excess, shape (M,), and slope, shape (M, d)."""
-
-    def excess(self, x: Array) -> float:
-        """Largest excess of all conditions; feasible if not above zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +45,7 @@ class Optimum:
 
 
 def solve(
-    program: ConstrainedProblem,
+    program: MotionProgram,
     x: Array,
     *,
     iterations: int,
@@ -64,12 +54,8 @@ def solve(
 ) -> Optimum:
     """Minimise from a start, which may violate the conditions.
 
-    Args:
-        program: Objective and conditions; coordinates of order 1.
-        x: Start, shape (d,).
-        iterations: Largest number of steps.
-        curvature: Initial Hessian, e.g. of a similar program, shape (d, d).
-        penalty: Weight of the largest excess.
+    Coordinates, shape (d,), are of order 1. The initial Hessian, shape (d, d), may be
+    that of a similar program. The penalty weighs the largest excess.
     """
     reach = _FIRST_REACH
     B = np.eye(len(x)) if curvature is None else curvature
@@ -120,15 +106,9 @@ def quadratic_program(
     P = np.zeros((d + 1, d + 1))
     P[:d, :d] = B
     P[d, d] = 1e-8
-    eye, zero = np.eye(d), np.zeros((d, 1))
-    rows = np.block(
-        [
-            [slopes, -np.ones((len(limits), 1))],
-            [eye, zero],
-            [-eye, zero],
-            [np.zeros((1, d)), -np.ones((1, 1))],
-        ]
-    )
+    *box, slack = np.eye(d + 1)
+    over = np.column_stack([slopes, -np.ones(len(limits))])
+    rows = np.vstack([over, box, np.negative(box), -slack])
     bounds = np.concatenate([-limits, np.full(2 * d, reach), [0.0]])
     settings = clarabel.DefaultSettings()
     settings.verbose = False

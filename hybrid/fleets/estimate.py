@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.effects.payload import LinkInertia, Payload
+from hybrid.effects.payload import Payload
 from hybrid.effects.registry import effect_class
 from hybrid.errors import HybridError
 from hybrid.identification.data import Data
@@ -186,7 +186,7 @@ def _prior(
     if model.covariance.size:
         blocks = [model.covariance[np.ix_(rigid, rigid)]]
     for effect, _ in effects:
-        if isinstance(effect, LinkInertia):
+        if isinstance(effect, Payload):
             blocks.append(_payload_covariance(model, effect.gains[0].typical, tool))
             continue
         sized = [g.scaled(scales[effect.joints[-1]]) for g in effect.gains]

@@ -3,13 +3,7 @@
 from __future__ import annotations
 
 from hybrid.effects import Effect
-from hybrid.plant.joint_fields import (
-    couplings,
-    effects_of_fields,
-    falls,
-    knees,
-    ripples,
-)
+from hybrid.plant.joint_fields import couplings, curves, effects_of_fields
 from hybrid.robot import Robot
 
 
@@ -19,5 +13,4 @@ def declared_effects(robot: Robot) -> list[Effect]:
     values = {name: getattr(robot, name) for name in names}
     values["armature"] = robot.chain.armature
     values["preload"] = -robot.stiffness * robot.springref
-    curves = *knees(robot), *ripples(robot), *falls(robot), *couplings(robot)
-    return [*effects_of_fields(values), *curves]
+    return [*effects_of_fields(values), *curves(robot), *couplings(robot)]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+from hybrid.dynamics import inverse_dynamics as rigid_torque
 from hybrid.effects import Effect, JointEffect, Port
 from hybrid.effects.registry import check_effects
 from hybrid.errors import EffectError, HybridError
@@ -27,8 +28,7 @@ INTEGRATORS = {
 # creeps with (1 − impedance)·step of its free acceleration.
 IMPEDANCE = 0.9999
 _HOOKS = (
-    "edit_spec", "command", "tune", "deliver", "follow", "resist", "push", "sense",
-    "measure", "report",
+    "edit_spec", "actuator", "deliver", "resist", "push", "sense", "measure", "report",
 )  # fmt: skip
 
 
@@ -61,15 +61,11 @@ def build_arm(
 ) -> Arm:
     """Compile an arm with the effects that MuJoCo simulates itself.
 
-    Args:
-        robot: The arm, with the friction and rotors of its file.
-        effects: Effects; they edit the spec in the order of their ports, so that a
-            spring finds the rotor it needs.
-        step: Physics step, [s].
-        integrator: One of ``INTEGRATORS``.
+    Effects edit the spec in the order of their ports, so that a spring finds the rotor
+    it needs.
 
     Raises:
-        HybridError: The step or integrator is not valid, or MuJoCo refuses the model.
+        HybridError: Step [s] or integrator is not valid, or MuJoCo refuses the model.
         EffectError: An effect cannot be simulated.
     """
     import mujoco
@@ -136,7 +132,7 @@ def has_hook(effect: Effect) -> bool:
 
 def drives(effect: Effect) -> bool:
     """Whether the effect changes the torque between command and delivery."""
-    return overrides(effect, "deliver") or overrides(effect, "follow")
+    return overrides(effect, "deliver") or "lag" in effect.actuator
 
 
 def encoder_readings(
@@ -151,12 +147,7 @@ def encoder_readings(
 
 
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
-    """Check that a plant of n joints can simulate the effects.
-
-    Raises:
-        EffectError: An item is no effect, has neither a hook nor a law, or a joint out
-            of range.
-    """
+    """Refuse what is no effect, has no hook or law, or a joint out of range."""
     check_effects(effects)
     for effect in effects:
         if not (has_hook(effect) or isinstance(effect, JointEffect)):
@@ -173,25 +164,9 @@ def check_simulable(effects: Sequence[Effect], size: int) -> None:
 def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
     """Torque of rigid body, rotors and springs along a motion, without friction.
 
-    Args:
-        robot: The arm.
-        q: Position, shape (N, n), [rad].
-        v: Speed, shape (N, n), [rad/s].
-        a: Acceleration, shape (N, n), [rad/s²].
-
-    Returns:
-        Torque, shape (N, n), [N·m].
+    Position [rad], speed [rad/s], acceleration [rad/s²] and torque [N·m] have the
+    shape (N, n).
     """
-    import mujoco
-
-    model = robot.mujoco_spec().compile()
-    model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
-    model.dof_dampingpoly[:] = model.tendon_damping[:] = 0.0
-    model.tendon_frictionloss[:] = 0.0
-    data = mujoco.MjData(model)
-    torque = np.empty_like(q)
-    for k in range(len(q)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
-        mujoco.mj_inverse(model, data)
-        torque[k] = data.qfrc_inverse
-    return torque
+    smooth = replace(robot, ripple=robot.ripple[:0])
+    rigid = rigid_torque(robot.chain, robot.chain.inertial, q, v, a)
+    return rigid + smooth.joint_torque(q, np.zeros_like(v), a)

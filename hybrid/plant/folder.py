@@ -43,13 +43,7 @@ def write_run(
     *,
     suffix: str = ".csv",
 ) -> list[Path]:
-    """Write the recordings of a run and its truth.
-
-    Args:
-        folder: Folder of the files; files of the same names are replaced.
-        recordings: Joint logs.
-        truth: JSON-ready content of ``truth.json``.
-        suffix: ``.csv``, ``.parquet`` or ``.npz``.
+    """Write the recordings of a run and its truth, in place of files of the same names.
 
     Returns:
         The files of the recordings.

@@ -13,7 +13,7 @@ from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.joint_fields import split_effects, springs
-from hybrid.plant.laws import Laws, part
+from hybrid.plant.laws import Laws
 from hybrid.robot.actuators import passive_motors
 from hybrid.robot.mjcf import knee_slope, sum_tendons
 from hybrid.robot.robot import Robot
@@ -66,11 +66,9 @@ class Installed:
         self._set_fields(values)
         rest = [e for e in rest if not overrides(e, "edit_spec")]
         self._laws = Laws(rest, 1, robot.size)
-        self._resisting = [e for e in rest if overrides(e, "resist")]
-        self._resisted = [np.zeros((1, len(e.joints))) for e in self._resisting]
         self._declared = model.dof_frictionloss.copy()
         self._time, self._added, self._armature = -np.inf, 0.0, 0.0
-        hooked = [e for e in rest if has_hook(e) and e not in self._resisting]
+        hooked = [e for e in rest if has_hook(e) and not overrides(e, "resist")]
         # Effects of an actuator are in the exported file.
         self.left_out = tuple(e.id for e in hooked if not e.actuator)
 
@@ -115,16 +113,8 @@ class Installed:
         state = JointState(
             np.full_like(q, data.time), q, v, a, sign, self._load(data, a)
         )
-        self._laws.evaluate(state, state)
-        torque = self._laws.drive + self._laws.link
-        step = max(data.time - self._time, 0.0)
-        self._time = data.time
-        for k, effect in enumerate(self._resisting):
-            j = list(effect.joints)
-            if 0.0 < step < np.inf:
-                own = part(state, j)
-                self._resisted[k] = effect.resist(own, self._resisted[k], step)
-            torque[:, j] += self._resisted[k]
+        self._laws.evaluate(state, state, data.time - self._time)
+        torque, self._time = self._laws.drive + self._laws.link, data.time
         if self._remainder is not None:
             torque = torque + self._remainder.predict(q, v)
         data.qfrc_passive[dof] -= torque[0]

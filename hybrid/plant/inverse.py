@@ -24,12 +24,7 @@ def file_inverse_dynamics(
     """Torque of MuJoCo's inverse dynamics along a motion, shape (N, n), [N·m].
 
     Dry friction is taken at the speed at the start of a step, and in steady sliding.
-
-    Args:
-        file: The MJCF file.
-        joints: Joints of the arm.
-        motion: Motion of N samples.
-        held: Positions of other joints, [rad or m].
+    Joints beside the arm are held at positions, [rad or m].
 
     Raises:
         RobotError: The file does not compile.

@@ -30,14 +30,10 @@ def split_effects(
 ) -> tuple[dict[str, Array], list[Effect]]:
     """Split effects into values of joint fields and remaining effects.
 
-    Args:
-        effects: Effects of an arm.
-        fields: Fields of the simulator, of ``hybrid.effects.instant.FIELDS``.
-        size: Number of joints n of the arm.
-
     Returns:
-        Values of each field, shape (n,), and the remaining effects. The negative part
-        of a field's sum is an effect again.
+        Values of each of the fields, which are some of
+        ``hybrid.effects.instant.FIELDS``, shape (n,), and the remaining effects. The
+        negative part of a field's sum is an effect again.
     """
     values, rest = {name: np.zeros(size) for name in fields}, []
     for effect in effects:
@@ -45,9 +41,7 @@ def split_effects(
         for field in values.keys() & set(effect.exact_fields.values()):
             names = [gain for gain, to in effect.exact_fields.items() if to == field]
             share = min(left[name] for name in names)
-            if (
-                len(names) > 1
-            ):  # levels of both directions: the field has the common one
+            if len(names) > 1:  # of both directions: the field has the common level
                 share = max(share, 0.0)
             values[field][effect.joints[0]] += share
             left |= {name: left[name] - share for name in names}
@@ -72,11 +66,7 @@ def _unphysical(values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
-    """Values of joint fields as effects, joint by joint.
-
-    Args:
-        values: Values by field, shape (n,); missing fields are zero.
-    """
+    """Values of joint fields, shape (n,), as effects, joint by joint."""
     kinds: tuple[type[Effect], ...] = (
         Armature, Viscous, Coulomb, NonlinearViscous, Spring,
     )  # fmt: skip
@@ -91,25 +81,18 @@ def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
                 yield cls((j,), own)
 
 
-def knees(robot: Robot) -> list[Effect]:
-    """Friction of a robot file that rises linearly to a level."""
-    return [
+def curves(robot: Robot) -> list[Effect]:
+    """Rising and falling friction, and torque that repeats, of a robot file."""
+    rising = [
         knee(int(j), float(robot.knee[j]), float(robot.knee_speed[j]))
         for j in np.flatnonzero(robot.knee)
     ]
-
-
-def ripples(robot: Robot) -> list[Effect]:
-    """Torque of a robot file that repeats with position."""
-    return [
+    ripples = [
         TorqueRipple((int(j),), {"sine": sine, "cosine": cosine, "periods": k})
         for j, sine, cosine, k in robot.ripple.tolist()
     ]
-
-
-def falls(robot: Robot) -> list[Effect]:
-    """Friction of a robot file that falls with speed."""
-    return [fall(int(j), level, speed) for j, level, speed in robot.falling.tolist()]
+    rows = robot.falling.tolist()
+    return [*rising, *ripples, *(fall(int(j), level, v) for j, level, v in rows)]
 
 
 def couplings(robot: Robot) -> list[Effect]:
@@ -161,12 +144,8 @@ def with_curves(
 ) -> tuple[Robot, list[Effect]]:
     """Separate friction curves that a simulator has exactly from those to be fitted.
 
-    At a joint with other friction, its curves are to be fitted with it.
-
-    Args:
-        robot: The arm as its file has it.
-        rubbing: Friction without a field, including falling friction of the file.
-        has: Whether the simulator has rising and falling friction.
+    At a joint with other friction, its curves are to be fitted with it. Friction
+    without a field includes falling friction of the file.
 
     Returns:
         The arm with the exact curves only, and all other friction.
@@ -179,7 +158,8 @@ def with_curves(
     more = {e.joints for e in rubbing if e not in falling}
     falling = [e for e in falling if e.joints not in more]
     rest = [e for e in rubbing if e not in falling]
-    bent = [e for e in knees(robot) if not has or e.joints in more]
+    rising = [e for e in curves(robot) if isinstance(e, ThresholdFriction)]
+    bent = [e for e in rising if not has or e.joints in more]
     level = robot.knee.copy()
     level[[e.joints[0] for e in bent]] = 0.0
     rows = [(e.joints[0], e.values["level"], e.values["velocity"]) for e in falling]
@@ -188,11 +168,7 @@ def with_curves(
 
 
 def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, shape (n,) each.
-
-    Args:
-        values: ``stiffness`` and ``preload``, shape (n,).
-    """
+    """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, (n,) each."""
     stiffness, preload = values["stiffness"], values["preload"]
     stiffness = np.where((stiffness == 0) & (preload != 0), _SOFTEST, stiffness)
     return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects import Effect, JointEffect, JointState, Port
-from hybrid.plant.arm import Index, has_hook
+from hybrid.plant.arm import Index, has_hook, overrides
 
 Side = Literal["dry", "drive", "link"]
 
@@ -47,24 +47,26 @@ class Laws:
         dry: Torque of dry friction in the direction of motion, shape (B, n), [N·m].
         drive: Other torque of the drives, shape (B, n), [N·m].
         link: Torque of the environment on the links, shape (B, n), [N·m].
+        resisting: Effects with memory, of the drives.
+        resisted: Their torque at the last step, shape (B, k) each, [N·m].
     """
 
     def __init__(self, effects: Sequence[Effect], batch: int, size: int) -> None:
         laws = [e for e in effects if isinstance(e, JointEffect) and not has_hook(e)]
         self._groups = [_group(group) for group in _grouped(laws)]
+        self.resisting = [e for e in effects if overrides(e, "resist")]
+        self.resisted = [np.zeros((batch, len(e.joints))) for e in self.resisting]
         self.dry = np.zeros((batch, size))
         self.drive = np.zeros((batch, size))
         self.link = np.zeros((batch, size))
 
     def __len__(self) -> int:
-        return len(self._groups)
+        return len(self._groups) + len(self.resisting)
 
-    def evaluate(self, motor: JointState, link: JointState) -> None:
-        """Set the three sums from the state on either side of the transmission.
+    def evaluate(self, motor: JointState, link: JointState, step: float = 0.0) -> None:
+        """Set the three sums from the states of motors and links, shape (B, n).
 
-        Args:
-            motor: State of the motors, arrays of shape (B, n).
-            link: State of the links, arrays of shape (B, n).
+        Effects with memory advance by a step, [s], which may be 0 or unknown (inf).
         """
         parts: dict[tuple[bool, tuple[int, ...]], JointState] = {}
         for total in (self.dry, self.drive, self.link):
@@ -74,6 +76,11 @@ class Laws:
             if key not in parts:
                 parts[key] = part(link if key[0] else motor, group.where)
             getattr(self, group.side)[:, group.where] += group.torque(parts[key])
+        for k, effect in enumerate(self.resisting):
+            j = list(effect.joints)
+            if 0.0 < step < np.inf:
+                self.resisted[k] = effect.resist(part(motor, j), self.resisted[k], step)
+            self.drive[:, j] += self.resisted[k]
 
 
 def _grouped(laws: Sequence[JointEffect]) -> list[list[JointEffect]]:

@@ -11,7 +11,7 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, drives, overrides
-from hybrid.plant.laws import Laws, part
+from hybrid.plant.laws import Laws
 
 _FASTEST = 1e3  # rad/s; a faster simulation has diverged
 
@@ -50,12 +50,9 @@ class Lockstep:
         self._arm = arm
         batch, n = start.shape
         self._laws = Laws(effects, batch, n)
-        self._drives = [e for e in effects if drives(e)]
-        self._resisting = [e for e in effects if overrides(e, "resist")]
+        self._drives = [(e, e.actuator.get("lag", 0.0)) for e in effects if drives(e)]
         self._pushing = [e for e in effects if overrides(e, "push")]
-        # Delivered torque, and torque of effects with memory, one step ago.
-        self._before: list[Array | None] = [None] * len(self._drives)
-        self._resisted = [np.zeros((batch, len(e.joints))) for e in self._resisting]
+        self._before: dict[int, Array] = {}  # torque of lagging drives one step ago
         self._models = [copy.copy(arm.model) for _ in range(batch)]
         self._datas = [mujoco.MjData(model) for model in self._models]
         for data in self._datas:
@@ -104,37 +101,36 @@ class Lockstep:
         Raises:
             HybridError: The simulation diverges.
         """
-        felt = len(self._laws) > 0 or len(self._resisting) > 0
         for left in range(substeps, 0, -1):
             delivered = self._delivered(torque)
             self._act(delivered)
             for model, data in zip(self._models, self._datas, strict=True):
                 self._advance(model, data)
             self._read()
-            if felt or left == 1:  # nobody asks in between where there is no law
+            if len(self._laws) or left == 1:  # without laws nobody asks in between
                 self._read_torque(delivered)
 
     def _delivered(self, torque: Array) -> Array:
         if not self._drives:
             return torque
         delivered, step = torque.copy(), self._arm.model.opt.timestep
-        for k, effect in enumerate(self._drives):
-            before = self._before[k]
-            before = delivered if before is None else before  # steady at the start
-            for j in effect.joints:
-                delivered[:, j] = effect.follow(delivered[:, j], before[:, j], step)
-            self._before[k] = delivered.copy()
+        for k, (effect, lag) in enumerate(self._drives):
+            j = list(effect.joints)
+            now = effect.deliver(delivered[:, j])
+            if lag:  # steady at the start
+                now = lagged(now, self._before.get(k, now), lag, step)
+                self._before[k] = now
+            delivered[:, j] = now
         return delivered
 
     def _act(self, delivered: Array) -> None:
         """Write applied torque and friction levels into MuJoCo."""
         arm, laws, applied = self._arm, self._laws, self._applied
-        if not len(laws) and not self._resisting:
+        if not len(laws):
             applied[:, arm.motor] = delivered
         else:
             motor, link = self._states()
-            laws.evaluate(motor, link)
-            self._resist(motor)
+            laws.evaluate(motor, link, arm.model.opt.timestep)
             applied[:, arm.motor] = delivered - laws.drive - laws.link
             applied[:, arm.deflection] = -laws.link[:, arm.elastic]
             # A single law may be negative; only the sum must not be.
@@ -146,14 +142,6 @@ class Lockstep:
             force[:] = row
         if self._pushing:
             self._push()
-
-    def _resist(self, motor: JointState) -> None:
-        """Add the torque of effects with memory to that of the drives' laws."""
-        step = self._arm.model.opt.timestep
-        for k, effect in enumerate(self._resisting):
-            j = list(effect.joints)
-            self._resisted[k] = effect.resist(part(motor, j), self._resisted[k], step)
-            self._laws.drive[:, j] += self._resisted[k]
 
     def _push(self) -> None:
         """Apply the forces of the environment to the last link."""
@@ -214,3 +202,8 @@ class Lockstep:
 
     def _of_motors(self, all_dofs: Array) -> Array:
         return all_dofs if self._alike else all_dofs.take(self._arm.motor, axis=2)
+
+
+def lagged(torque: Array, before: Array, lag: float, step: float) -> Array:
+    """One implicit Euler step of a lag, whose delay is exact for any step."""
+    return before + (torque - before) * step / (lag + step)

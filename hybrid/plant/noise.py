@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
+from hybrid.plant.arm import inverse_dynamics
 from hybrid.robot.robot import Robot
 
 # See `Noise.typical`.
@@ -99,13 +100,7 @@ class Noise:
     def apply(
         self, signals: dict[str, Array], *, rate: float, rng: np.random.Generator
     ) -> dict[str, Array]:
-        """Noisy signals.
-
-        Args:
-            signals: True ``q`` [rad], ``v`` [rad/s] and ``tau`` [N·m], shape (N, n).
-            rate: Samples per second, [Hz].
-            rng: Source of the noise.
-        """
+        """Noisy signals from true q [rad], v [rad/s] and tau [N·m], shape (N, n)."""
         shape = signals["q"].shape
         q = signals["q"] + self.position_std * rng.standard_normal(shape)
         step = np.where(self.position_resolution > 0, self.position_resolution, 1.0)
@@ -141,8 +136,6 @@ def rated_torque(robot: Robot) -> Array:
     """
     if np.isfinite(robot.tau_max).all():
         return robot.tau_max
-    from hybrid.plant.arm import inverse_dynamics
-
     postures = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, robot.size))
     rest = np.zeros_like(postures)
     weight = inverse_dynamics(robot, postures, rest, rest)

@@ -11,7 +11,7 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import HybridError, warn
 from hybrid.plant.arm import Arm, build_arm, drives, encoder_readings, overrides
-from hybrid.plant.joint_fields import falls, knees, ripples
+from hybrid.plant.joint_fields import curves
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import Reference
@@ -73,7 +73,7 @@ class Plant:
         if self.servo is None:
             lag = np.zeros(self.robot.size)
             for effect in self.effects:
-                lag[list(effect.joints)] += effect.lag
+                lag[list(effect.joints)] += effect.actuator.get("lag", 0.0)
             period = 1.0 / self.control_rate
             servo = Servo.tuned(arm, self._nominal, period=period, lag=lag)
             set_(self, "servo", servo)
@@ -147,8 +147,7 @@ class Plant:
             for signal in zip(*plans, strict=True)
         )
         kp, kd = self._gains()
-        robot = self.robot
-        effects = [*self.effects, *knees(robot), *ripples(robot), *falls(robot)]
+        effects = [*self.effects, *curves(self.robot)]
         state = Lockstep(self.arm, effects, q_ref[0], time=t[0])
         weight, lead = self._alignment(substeps)
         log = {x: np.empty((samples, *q_ref.shape[1:])) for x in ("q", "v", "tau")}
@@ -173,18 +172,20 @@ class Plant:
 
     def _commanded(self, t: Array, signal: Array) -> Array:
         """A commanded signal as the controller receives it, shape (M, n)."""
+        signal = signal.copy()
         for effect in self.effects:
-            if overrides(effect, "command"):
-                signal, j = signal.copy(), list(effect.joints)
-                signal[:, j] = effect.command(t, signal[:, j])
+            if late := effect.actuator.get("latency"):
+                for j in effect.joints:
+                    signal[:, j] = np.interp(t - late, t, signal[:, j])
         return signal
 
     def _gains(self) -> tuple[Array, Array]:
         """True stiffness and damping of the servo, shape (n,)."""
         kp, kd = self._servo.kp.copy(), self._servo.kd.copy()
         for effect in self.effects:
-            j = list(effect.joints)
-            kp[j], kd[j] = effect.tune(kp[j], kd[j])
+            j, changed = list(effect.joints), effect.actuator
+            kp[j] *= changed.get("stiffness", 1.0)
+            kd[j] *= changed.get("damping", 1.0)
         return kp, kd
 
     def _alignment(self, substeps: int) -> tuple[float, float]:

@@ -35,12 +35,7 @@ class Windows:
     samples: int
 
     def of(self, signals: Sequence[Array], factor: int = 1) -> Array:
-        """Signals in the windows, shape (factor·S + 1, B, ...).
-
-        Args:
-            signals: One for each motion, shape (factor·(N − 1) + 1, ...).
-            factor: Sampling rate of the signals over that of the motions.
-        """
+        """Signals of motions, at a multiple of their rate, (factor·S + 1, B, ...)."""
         along = np.arange(factor * self.samples + 1)
         parts = [
             signals[m][np.minimum(factor * k + along, len(signals[m]) - 1)]
@@ -112,6 +107,7 @@ class _FreeTrajectories(Lockstep):
         start: Motion,
         load: Array,
         deflections: Array,
+        resisted: Sequence[Array],
     ) -> None:
         """Place every trajectory in its state."""
         self.diverged = np.zeros(len(start.q), dtype=bool)
@@ -125,10 +121,7 @@ class _FreeTrajectories(Lockstep):
         self.temperature = start.temperature
         self._read()
         self.a, self.load = start.a.copy(), load.copy()
-
-    def set_past_torque(self, torques: Sequence[Array]) -> None:
-        """Set the torque of effects with memory, shape (B, k) each, [N·m]."""
-        self._resisted = [np.array(x) for x in torques]
+        self._laws.resisted = [np.array(x) for x in resisted]
 
     def _read(self) -> None:
         self.q, self.v = self._of_motors(self._gather(self._motion))
@@ -182,12 +175,12 @@ def _start(
     pairs = list(zip(seen, bodies, strict=True))
     deflections = _deflections(arm, effects, pairs, windows)
     load = windows.first([body.load for body in bodies])
-    state = _FreeTrajectories(arm, effects, start, load, deflections)
-    with_memory = [e for e in effects if overrides(e, "resist")]
-    state.set_past_torque(
-        [windows.first([e.torque(m, b) for m, b in pairs]) for e in with_memory]
-    )
-    return state
+    resisted = [
+        windows.first([e.torque(m, b) for m, b in pairs])
+        for e in effects
+        if overrides(e, "resist")
+    ]
+    return _FreeTrajectories(arm, effects, start, load, deflections, resisted)
 
 
 def _motor_motion(robot: Robot, effects: Sequence[Effect], motion: Motion) -> Motion:

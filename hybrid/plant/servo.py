@@ -61,12 +61,8 @@ class Servo:
 
         They are higher where usual friction would stop the joint, and low enough for
         the rotor alone, since the motor of an elastic joint moves without its link.
-
-        Args:
-            arm: The arm to control.
-            robot: The arm that the controller knows.
-            period: Time between control samples, [s].
-            lag: Time constant of the drives, shape (n,), [s].
+        ``robot`` is the arm that the controller knows, ``period`` its sampling time,
+        [s], and ``lag`` the time constant of the drives, shape (n,), [s].
         """
         # With a lag T the loop is unstable unless kd > T·kp; half of that is used.
         fastest = _DAMPING / np.maximum(lag, 1e-9)
@@ -89,21 +85,16 @@ class Servo:
         )
 
     def plan(self, reference: Reference, t: Array) -> tuple[Array, Array, Array]:
-        """Position, speed and feed-forward torque at the control samples.
+        """Position [rad], speed [rad/s] and feed-forward torque [N·m] at given times.
 
-        Args:
-            reference: The motion to follow; the arm waits at its ends.
-            t: Times of the control samples, shape (M,), [s].
-
-        Returns:
-            Three arrays of shape (M, n): [rad], [rad/s], [N·m].
+        The arm waits at the ends of the reference. Times have the shape (M,), [s], and
+        the results (M, n).
         """
         q, v = reference.at(t)
         if self.feedforward is None:
             return q, v, np.zeros_like(q)
-        torque = inverse_dynamics(
-            self.feedforward, reference.q, reference.v, reference.a
-        )
+        r = reference
+        torque = inverse_dynamics(self.feedforward, r.q, r.v, r.a)
         columns = [np.interp(t, reference.t, column) for column in torque.T]
         return q, v, np.stack(columns, axis=1)
 

@@ -49,7 +49,10 @@ def load_truth(path: str | Path) -> tuple[Robot, Plant]:
         HybridError: The file cannot be read, or is not valid.
     """
     path = Path(path)
-    content = _mapping(_read(path), _KEYS, str(path))
+    try:
+        content = _mapping(read_yaml(path), _KEYS, str(path))
+    except (OSError, ValueError) as error:
+        raise HybridError(f"{path}: not a readable YAML file ({error})") from error
     if "robot" not in content:
         raise HybridError(f"{path}: no robot")
     nominal = Robot.load(robot_file(str(content["robot"]), path.parent))
@@ -67,13 +70,6 @@ def load_truth(path: str | Path) -> tuple[Robot, Plant]:
     except (TypeError, ValueError) as error:
         raise HybridError(f"{path}: {error}") from error
     return nominal, plant
-
-
-def _read(path: Path) -> Any:
-    try:
-        return read_yaml(path)
-    except (OSError, ValueError) as error:
-        raise HybridError(f"{path}: not a readable YAML file ({error})") from error
 
 
 def _mapping(content: Any, keys: Sequence[str] | None, where: str) -> dict[str, Any]:

@@ -95,11 +95,7 @@ class GpuRollout:
             self._model, self._data = mjx.put_model(bare), mjx.make_data(bare)
 
     def __call__(self, runs: Sequence[Run]) -> Array:
-        """Positions after every step, shape (batch, steps, n), [rad].
-
-        Args:
-            runs: Stretches and servos.
-        """
+        """Positions after every step, shape (batch, steps, n), [rad]."""
         import jax
 
         steps, n = max(len(x.control) for x in runs), runs[0].control.shape[1]

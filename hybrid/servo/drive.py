@@ -67,7 +67,7 @@ class DriveQuantity:
     effect: str
     spread: float
     per: str = ""
-    positive: bool = True
+    positive: bool = False
     least: float = -np.inf
     shared: bool = False
     base: bool = False
@@ -77,49 +77,34 @@ class DriveQuantity:
 
 
 QUANTITIES = (
-    DriveQuantity("stiffness", "N·m/rad", "controller_gain", 2.0),
-    DriveQuantity("damping", "N·m·s/rad", "viscous", 2.0),
-    DriveQuantity("coulomb", "N·m", "coulomb", 2.0),
-    DriveQuantity("stiction", "N·m", "stribeck", 0.05, "torque", False, 0.0),
-    DriveQuantity("stribeck_speed", "rad/s", "stribeck", 1.0),
-    DriveQuantity("presliding", "rad", "presliding", 2.0, least=3e-4),
-    DriveQuantity("armature", "kg·m²", "armature", 2.0),
-    DriveQuantity("stall", "N·m", "saturation", 1.0),
-    DriveQuantity("offset", "N·m", "torque_offset", 0.05, "torque", False),
-    DriveQuantity("zero", "rad", "encoder_offset", 0.05, "", False),
-    DriveQuantity("delay", "s", "command_latency", 0.03, "", False, 0.0),
-    DriveQuantity("spring", "N·m/rad", "spring", 0.3, "torque", False, 0.0),
-    DriveQuantity("dead_band", "rad", "deadzone", 0.02, "", False, 0.0, unsaid=True),
+    DriveQuantity("stiffness", "N·m/rad", "controller_gain", 2.0, positive=True),
+    DriveQuantity("damping", "N·m·s/rad", "viscous", 2.0, positive=True),
+    DriveQuantity("coulomb", "N·m", "coulomb", 2.0, positive=True),
+    DriveQuantity("stiction", "N·m", "stribeck", 0.05, "torque", least=0.0),
+    DriveQuantity("stribeck_speed", "rad/s", "stribeck", 1.0, positive=True),
+    DriveQuantity("presliding", "rad", "presliding", 2.0, positive=True, least=3e-4),
+    DriveQuantity("armature", "kg·m²", "armature", 2.0, positive=True),
+    DriveQuantity("stall", "N·m", "saturation", 1.0, positive=True),
+    DriveQuantity("offset", "N·m", "torque_offset", 0.05, "torque"),
+    DriveQuantity("zero", "rad", "encoder_offset", 0.05),
+    DriveQuantity("delay", "s", "command_latency", 0.03, least=0.0),
+    DriveQuantity("spring", "N·m/rad", "spring", 0.3, "torque", least=0.0),
+    DriveQuantity("dead_band", "rad", "deadzone", 0.02, least=0.0, unsaid=True),
     DriveQuantity(
-        "play",
-        "rad",
-        "backlash",
-        0.02,
-        "",
-        False,
-        0.0,
-        unsaid=True,
-        alone=True,
-        probe=0.25,
+        "play", "rad", "backlash", 0.02, least=0.0, unsaid=True, alone=True, probe=0.25
     ),
+    DriveQuantity("load_friction", "", "load_friction", 0.1, least=0.0, unsaid=True),
     DriveQuantity(
-        "load_friction", "", "load_friction", 0.1, "", False, 0.0, unsaid=True
+        "quadratic", "N·m·s²/rad²", "nonlinear_viscous", 0.1, "torque", least=0.0
     ),
-    DriveQuantity(
-        "quadratic", "N·m·s²/rad²", "nonlinear_viscous", 0.1, "torque", False, 0.0
-    ),
-    DriveQuantity("pace", "s/rad", "goal_speed", 1.0, "", False, 0.0, unsaid=True),
-    DriveQuantity("lower", "rad", "contact", 0.5, "", False),
-    DriveQuantity("upper", "rad", "contact", 0.5, "", False),
-    DriveQuantity("mass", "", "payload", 0.3, shared=True),
-    DriveQuantity(
-        "roll", "rad", "gravity_tilt", 0.05, "", False, shared=True, base=True
-    ),
-    DriveQuantity(
-        "pitch", "rad", "gravity_tilt", 0.05, "", False, shared=True, base=True
-    ),
-    DriveQuantity("ground", "m", "contact", 0.2, "", False, shared=True),
-    DriveQuantity("sign", "", "sign", 1.0, "", False, -1.0, shared=True),
+    DriveQuantity("pace", "s/rad", "goal_speed", 1.0, least=0.0, unsaid=True),
+    DriveQuantity("lower", "rad", "contact", 0.5),
+    DriveQuantity("upper", "rad", "contact", 0.5),
+    DriveQuantity("mass", "", "payload", 0.3, positive=True, shared=True),
+    DriveQuantity("roll", "rad", "gravity_tilt", 0.05, shared=True, base=True),
+    DriveQuantity("pitch", "rad", "gravity_tilt", 0.05, shared=True, base=True),
+    DriveQuantity("ground", "m", "contact", 0.2, shared=True),
+    DriveQuantity("sign", "", "sign", 1.0, least=-1.0, shared=True),
 )
 NAMES = tuple(x.name for x in QUANTITIES)
 PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")
@@ -189,21 +174,16 @@ class Drive:
 
     @classmethod
     def declared(cls, robot: Robot) -> Drive:
-        """The servos of a robot file, with usual values where it states none.
-
-        Args:
-            robot: The arm.
-        """
+        """The servos of a robot file, with usual values where it states none."""
         n = robot.size
         stall = np.where(np.isfinite(robot.tau_max), robot.tau_max, _usual(robot))
         gain = np.where(np.isfinite(robot.kp), robot.kp, stall / 0.1)
         servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
         little = _LITTLE * stall
-        friction = np.maximum(robot.frictionloss, little)
         known = {
             "stiffness": gain,
             "damping": np.maximum(servo + robot.damping, little),
-            "coulomb": friction,
+            "coulomb": np.maximum(robot.frictionloss, little),
             "stribeck_speed": np.full(n, 0.05),
             "presliding": np.full(n, _PRESLIDING),
             "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
@@ -214,8 +194,8 @@ class Drive:
             "ground": -_reach(robot),
             "sign": np.ones(n),
             "quadratic": np.nan_to_num(robot.quadratic),
+            "stiction": np.zeros(n),
         }
-        known["stiction"] = np.zeros(n)
         for j, level, speed in robot.falling:
             known["stiction"][int(j)], known["stribeck_speed"][int(j)] = level, speed
         values = [known.get(name, np.zeros(n)) for name in NAMES]

@@ -70,11 +70,7 @@ def servo_spec(
 
 
 def places(plays: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices in a compiled model: of all motor joints, and of joints for play.
-
-    Args:
-        plays: Whether the gear of each joint has play, shape (n,).
-    """
+    """Indices in a compiled model: of all motor joints, and of joints for play."""
     behind = np.cumsum(plays)
     own = np.arange(len(plays)) + behind - plays
     return own, own[plays] + 1
@@ -134,25 +130,14 @@ def _level(robot: Robot) -> float:
 
 
 def heights(robot: Robot, q: Array) -> Array:
-    """Heights of the centres of mass above the base, shape (N, n), [m].
-
-    Args:
-        robot: The arm.
-        q: Positions, shape (N, n), [rad].
-    """
+    """Heights of the centres of mass above the base, shape (N, n), [m]."""
     R, origin, _ = frames(robot.chain, q)
     centre = origin + np.einsum("kNij,kj->kNi", R, centres(robot))
     return np.asarray((centre @ _up(robot)).T)
 
 
 def install(model: Any, robot: Robot, drive: Drive) -> None:
-    """Set the servo parameters in a compiled model.
-
-    Args:
-        model: MuJoCo model with a dcmotor at every joint.
-        robot: The arm.
-        drive: The servos.
-    """
+    """Set the servo parameters in a compiled model with a dcmotor at every joint."""
     for name, x in motors(robot, drive).items():
         getattr(model, f"actuator_{name}")[:, : x.shape[1]] = x
     model.actuator_forcelimited[:] = 0
@@ -216,14 +201,7 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
 
 
 def weight(model: Any, own: NDArray[np.intp], q: Array, v: Array) -> Array:
-    """Gravity, centrifugal and Coriolis torque of a model, shape (n,), [N·m].
-
-    Args:
-        model: Compiled model.
-        own: Its motor joints, see :func:`places`.
-        q: Positions, shape (n,), [rad].
-        v: Speeds, shape (n,), [rad/s].
-    """
+    """Gravity, centrifugal and Coriolis torque at a state, shape (n,), [N·m]."""
     import mujoco
 
     data = mujoco.MjData(model)

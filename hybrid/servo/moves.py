@@ -45,11 +45,8 @@ def probed(
 ) -> tuple[list[Array], list[Array]]:
     """Change one quantity at a time, at all joints or at one, and replay.
 
-    Args:
-        problem: The logs.
-        x: Coordinates before the change, shape (len(QUANTITIES), n).
-        open_: Parameters that may differ, same shape.
-        hint: Coordinates of another fit, tried as well, same shape.
+    Only what is ``open_`` changes. ``hint``, of another fit, is tried as well. All have
+    the shape (len(QUANTITIES), n).
 
     Returns:
         Changes of the coordinates, and replay errors, shape (M, n) each, [rad].

@@ -41,12 +41,10 @@ class Noise:
 
     @classmethod
     def of(cls, errors: Sequence[Array], floor: Array, inexact: Array) -> Noise:
-        """Estimate it from the errors of a good replay.
+        """Estimate it from the errors of a good replay, (N, n) of each stretch, [rad].
 
-        Args:
-            errors: Replay errors of each stretch, shape (N, n) each, [rad].
-            floor: Lower bound of the RMS error, shape (n,), [rad].
-            inexact: Variance times τ of the errors of laws and clocks, (n,), [rad²].
+        ``floor`` is a lower bound of the RMS error, shape (n,), [rad], and ``inexact``
+        the variance times τ of the errors of laws and clocks, shape (n,), [rad²].
         """
         most = _FAR * usual_error(np.concatenate(errors))
         memory = _memory([np.clip(x, -most, most) for x in errors])
@@ -60,11 +58,7 @@ class Noise:
         return Noise(weight, np.where(better, other.far, self.far))
 
     def reaching(self, usual: Array) -> Noise:
-        """A copy that gives full weight to errors of the size of the present ones.
-
-        Args:
-            usual: RMS error of the present replay, shape (n,), [rad].
-        """
+        """A copy that fully weighs errors of a usual size, shape (n,), [rad]."""
         return Noise(self.weight, np.maximum(self.far, _FAR * usual))
 
     def cost(self, errors: Array) -> Array:
@@ -90,9 +84,6 @@ def inexactness(stretches: Sequence[Stretch]) -> Array:
     """Variance times τ of the errors of laws and clocks, shape (n,), [rad²].
 
     (0.03 u)² τ_u + (1 ms · q̇)² τ_q̇, see the module.
-
-    Args:
-        stretches: The logs.
     """
     pulled = [x.command - x.q for x in stretches]
     usual = np.concatenate(pulled).mean(axis=0)

@@ -132,9 +132,8 @@ class Problem:
     def slopes(self, found: Estimate, *, each: bool = False) -> Array:
         """Derivative of the replay errors by every free coordinate, (P, M, n).
 
-        Args:
-            found: Where.
-            each: Vary one parameter at a time, and keep its effect on all joints.
+        With ``each`` one parameter changes at a time, and its effect on all joints
+        counts.
         """
         alone = found.free & (SHARED[:, None] | each)
         kinds = np.flatnonzero((found.free & ~alone).any(axis=1)).tolist()
@@ -162,11 +161,8 @@ class Problem:
     ) -> tuple[Array, Array]:
         """Gauss–Newton matrix and gradient of the cost.
 
-        Args:
-            found: Where.
-            slopes: From :meth:`slopes`, shape (P, M, n).
-            noise: Weights of errors.
-            spread: Prior deviations, if others, shape (len(QUANTITIES), n).
+        Slopes are of :meth:`slopes`; prior deviations may be others than those of the
+        file.
         """
         spread = self.prior.spread if spread is None else spread
         weight = noise.weights(found.errors)
@@ -179,12 +175,9 @@ class Problem:
         return matrix, gradient + inverse * away
 
     def fitted(self, start: Estimate, noise: Noise | None, turns: int) -> Estimate:
-        """Fit the free parameters.
+        """Fit the free parameters in at most ``turns`` Gauss–Newton steps.
 
-        Args:
-            start: Where the fit begins.
-            noise: Weights of errors; None to estimate them anew before each step.
-            turns: Maximum number of Gauss–Newton steps.
+        Without noise, weights of errors are estimated anew before each step.
         """
         found = start
         for _ in range(turns if start.free.any() else 0):

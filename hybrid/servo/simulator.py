@@ -13,7 +13,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot import Robot
-from hybrid.servo.drive import Drive
+from hybrid.servo.drive import NAMES, Drive
 from hybrid.servo.model import (
     bristles,
     declared_spec,
@@ -45,15 +45,9 @@ class Run:
     control: Array  # at every physics step, (·, n)
     drive: Drive
 
-    @property
-    def stepped(self) -> bool:
-        """Whether the servos have what has to be set at every step."""
-        return any(self.drive[name].any() for name in _STEPPED)
-
-    @property
-    def only_here(self) -> bool:
-        """Whether a GPU cannot replay it."""
-        return any(self.drive[name].any() for name in _ONLY_HERE)
+    def has(self, names: Sequence[str]) -> bool:
+        """Whether the servos have any of some properties."""
+        return any(self.drive[name].any() for name in names)
 
 
 class ServoSimulator:
@@ -77,7 +71,6 @@ class ServoSimulator:
             self.roll = GpuRollout(robot)
         self._declared = Drive.declared(robot)
         self._models: dict[tuple[float, bytes], Any] = {}
-        self._weights: dict[tuple[Stretch, bytes], Array] = {}
 
     def with_step(self, step: float) -> ServoSimulator:
         """A copy with another longest step, [s]."""
@@ -100,11 +93,13 @@ class ServoSimulator:
         runs = self.runs(stretches, drives)
         moved: list[Array] = [np.empty(0)] * len(runs)
         for here in (False, True):  # what only MuJoCo's C can do, and the others
-            own = [k for k, x in enumerate(runs) if x.only_here == here]
+            own = [k for k, x in enumerate(runs) if x.has(_ONLY_HERE) == here]
             roll = rolled if here or None in drives else self.roll
             rows = roll([runs[k] for k in own]) if own else ()
-            for k, x in zip(own, rows, strict=True):
-                moved[k] = self._seen(runs[k], x)
+            for k, steps in zip(own, rows, strict=True):
+                run = runs[k]
+                after = steps[run.parts - 1 : len(run.control) : run.parts]
+                moved[k] = np.vstack([run.stretch.q[:1], after])
         size = len(stretches)
         return [moved[i : i + size] for i in range(0, len(moved), size)]
 
@@ -122,29 +117,18 @@ class ServoSimulator:
         self, drive: Drive | None, stretch: Stretch, models: dict[float, Any]
     ) -> Run:
         parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
-        n = self.robot.size
-        step, none = round(stretch.step / parts, 9), np.zeros(n)
+        step, own = round(stretch.step / parts, 9), drive or self._declared
         if step not in models:
             models[step] = self._model(drive, step)
-        late, pace = (
-            none if drive is None else drive[name] for name in ("delay", "pace")
-        )
-        control = goals(stretch, late, pace, parts)
+        control = stretch.goals(own["delay"], own["pace"], parts)
         state = self._state(models[step], drive, stretch, control[0])
-        return Run(
-            stretch, parts, models[step], state, control, drive or self._declared
-        )
-
-    def _seen(self, run: Run, moved: Array) -> Array:
-        after = moved[run.parts - 1 : len(run.control) : run.parts]
-        return np.vstack([run.stretch.q[:1], after])
+        return Run(stretch, parts, models[step], state, control, own)
 
     def _model(self, drive: Drive | None, step: float) -> Any:
         key = step, _turned(drive)
         if key not in self._models:
             if len(self._models) > _MODELS:
                 self._models.clear()
-                self._weights.clear()
             self._models[key] = self._compiled(drive, step)
         model = copy.copy(self._models[key])
         if drive is not None:
@@ -171,10 +155,7 @@ class ServoSimulator:
         q, v, bent = np.zeros(model.nq), np.zeros(model.nv), np.zeros(0)
         q[own], v[own] = stretch.q[0], stretch.v
         if drive is not None:
-            key = stretch, _turned(drive) + drive["mass"].tobytes()
-            if key not in self._weights:
-                self._weights[key] = weight(model, own, stretch.q[0], stretch.v)
-            down = self._weights[key]
+            down = weight(model, own, stretch.q[0], stretch.v)
             bent = bristles(drive, stretch, first, down)
             # The weight of the link presses it against one side of the gap.
             q[behind] = -np.sign(down[plays]) * drive["play"][plays]
@@ -192,11 +173,7 @@ def _turned(drive: Drive | None) -> bytes:
 
 
 def rolled(runs: Sequence[Run]) -> Array:
-    """Replay on all cores: positions after each step, (batch, steps, n), [rad].
-
-    Args:
-        runs: The replays.
-    """
+    """Replay on all cores: positions after each step, (batch, steps, n), [rad]."""
     import mujoco
     from mujoco import rollout
 
@@ -204,7 +181,7 @@ def rolled(runs: Sequence[Run]) -> Array:
     out = np.empty((len(runs), steps, n))
     kinds: dict[tuple[bool, bytes], list[int]] = {}
     for k, x in enumerate(runs):
-        kinds.setdefault((x.stepped, x.drive.plays.tobytes()), []).append(k)
+        kinds.setdefault((x.has(_STEPPED), x.drive.plays.tobytes()), []).append(k)
     with _quiet():  # some servos are unstable
         for (stepped, _), own in kinds.items():
             some = [runs[k] for k in own]
@@ -226,15 +203,8 @@ def _stepped(runs: Sequence[Run], data: list[Any], control: Array) -> Array:
     """Replay servos that MuJoCo lacks; their goals or friction change at each step.
 
     They have a dead band, read the position of the link behind the play of a gear, or
-    have dry friction that grows with the load.
-
-    Args:
-        runs: Replays of models with the same joints.
-        data: One for each thread.
-        control: Goals, shape (batch, steps, n), [rad].
-
-    Returns:
-        Positions of the links after each step, shape (batch, steps, n), [rad].
+    have dry friction that grows with the load. The models have the same joints, and
+    each thread has its data. Goals and positions have the shape (batch, steps, n).
     """
     from mujoco import rollout
 
@@ -261,23 +231,12 @@ def _stepped(runs: Sequence[Run], data: list[Any], control: Array) -> Array:
 
 
 class _FrictionLevels:
-    """Dry friction of some replays, which may change at each step.
-
-    Args:
-        runs: Replays of models with the same joints.
-    """
+    """Dry friction of some replays, which may change at each step."""
 
     def __init__(self, runs: Sequence[Run]) -> None:
         drives = [x.drive for x in runs]
-
-        def of(name: str) -> Array:
-            return np.array([x[name] for x in drives])
-
-        self._load, self._coulomb = of("load_friction"), of("coulomb")
-        self._stiction = of("stiction")
-        self._stiffness, self._stall = of("stiffness"), of("stall")
-        self._presliding = of("presliding")
-        self._bristle = self._coulomb / self._presliding
+        self._of = {name: np.array([x[name] for x in drives]) for name in NAMES}
+        self._bristle = self._of["coulomb"] / self._of["presliding"]
         # Replays share models, but not these.
         self._moving = {
             k: copy.copy(x.model)
@@ -295,19 +254,17 @@ class _FrictionLevels:
     def set(self, off: Array, state: Array) -> None:
         """Set the friction of the next step.
 
-        Args:
-            off: Goals less positions, as the servos see them, (batch, n), [rad].
-            state: Times, positions, speeds and bends, shape (batch, ·).
+        ``off`` is goal less position as the servos see it, shape (batch, n), [rad].
         """
         if not self._moving:
             return
-        v, friction = state[:, self._speed], self._bristle * state[:, self._bent]
-        torque = self._stiffness * off - self._of_servo * v
-        torque = np.clip(torque, -self._stall, self._stall) - self._of_joint * v
-        load = np.abs(torque - friction)
-        level = self._coulomb + self._load * load
-        self._bristle = level / self._presliding
-        both = np.stack([level, level + self._stiction], axis=2)
+        own, v = self._of, state[:, self._speed]
+        friction = self._bristle * state[:, self._bent]
+        torque = own["stiffness"] * off - self._of_servo * v
+        torque = np.clip(torque, -own["stall"], own["stall"]) - self._of_joint * v
+        level = own["coulomb"] + own["load_friction"] * np.abs(torque - friction)
+        self._bristle = level / own["presliding"]
+        both = np.stack([level, level + own["stiction"]], axis=2)
         for model, k in zip(self._moving.values(), self._moving, strict=True):
             model.actuator_biasprm[:, 3:5] = both[k]
             model.actuator_dynprm[:, 5] = self._bristle[k]
@@ -334,12 +291,8 @@ def converged(
 ) -> ServoSimulator:
     """A simulator with the longest step at which replays have converged.
 
-    Args:
-        simulator: Replays with some step.
-        stretches: Logs to replay.
-        drive: Approximate servos.
-        floor: Error that a replay may have, shape (n,), [rad]. It may also have 3 % of
-            what it misses of the log.
+    A replay may have an error of ``floor``, shape (n,), [rad], or of 3 % of what it
+    misses of the log.
     """
     steps = [_STEP / 2**k for k in range(_HALVINGS)]
     measured = np.concatenate([x.q for x in stretches])
@@ -365,33 +318,3 @@ def missed(
         errors = [q - x.q for q, x in zip(moved, logs, strict=True)]
         found.append(np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)))
     return np.asarray(np.nan_to_num(np.array(found), nan=np.inf))
-
-
-def goals(stretch: Stretch, delay: Array, pace: Array, parts: int) -> Array:
-    """Goals of the servos at every physics step, shape (parts·(N − 1), n), [rad].
-
-    Args:
-        stretch: Commands at the rate of the log.
-        delay: By how much each joint's command acts later, shape (n,), [s].
-        pace: Least time of a rad of each joint's goal, shape (n,), [s/rad].
-        parts: Physics steps between two samples.
-    """
-    sent, samples, step = stretch.sent, len(stretch.command), stretch.step / parts
-    logged = np.arange(samples - len(sent), samples) * stretch.step
-    steps, earlier = (samples - 1) * parts, (len(sent) - samples) * parts
-    out = np.empty((steps, sent.shape[1]))
-    for j, (late, slow) in enumerate(zip(delay, pace, strict=True)):
-        first = -earlier if slow > 0 else 0
-        asked = np.interp(np.arange(first, steps) * step - late, logged, sent[:, j])
-        out[:, j] = (slowed(asked, step / slow) if slow > 0 else asked)[-steps:]
-    return out
-
-
-def slowed(asked: Array, most: float) -> Array:
-    """Goals that follow what is asked, shape (K,), by no more than ``most`` a step."""
-    if np.abs(np.diff(asked)).max() <= most:
-        return asked
-    followed, goal = asked.tolist(), float(asked[0])
-    for k, x in enumerate(followed):
-        followed[k] = goal = goal + min(max(x - goal, -most), most)
-    return np.array(followed)

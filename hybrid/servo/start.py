@@ -33,13 +33,7 @@ _LEAST = 1e-3  # rad, s or s², times stiffness: least friction, damping, rotor
 def first_guess(
     robot: Robot, stretches: Sequence[Stretch], prior: Drive | None = None
 ) -> Drive:
-    """Guess the servos from which a fit by replay starts.
-
-    Args:
-        robot: The arm.
-        stretches: Logs.
-        prior: Servos and masses of links, if not those of the file.
-    """
+    """Guess the servos from which a fit by replay starts."""
     declared = prior or Drive.declared(robot)
     inertial = robot.chain.inertial * declared["mass"][:, None]
     parts = [_signals(robot, inertial, x) for x in stretches]
@@ -79,12 +73,6 @@ def best_start(
 
     Candidates are the guess and the file. In slow motion a delay d looks like damping
     k·d, which is taken off the guessed damping.
-
-    Args:
-        simulator: Replays.
-        stretches: Logs.
-        guess: Servos without delay, from :func:`first_guess`.
-        declared: Servos of the file.
     """
     least = _LEAST * guess["stiffness"]
     tried = []

@@ -60,6 +60,33 @@ class Stretch:
         command, q = self.command[part], self.q[part]
         return Stretch(self.step, command, q, v, self.source, before)
 
+    def goals(self, delay: Array, pace: Array, parts: int) -> Array:
+        """Goals of the servos at every physics step, shape (parts·(N − 1), n), [rad].
+
+        Each joint's command acts later by its delay, shape (n,), [s], and its goal
+        takes at least its pace, shape (n,), [s/rad]. Two samples are so many parts
+        apart.
+        """
+        sent, samples, step = self.sent, len(self.command), self.step / parts
+        logged = np.arange(samples - len(sent), samples) * self.step
+        steps, earlier = (samples - 1) * parts, (len(sent) - samples) * parts
+        out = np.empty((steps, sent.shape[1]))
+        for j, (late, slow) in enumerate(zip(delay, pace, strict=True)):
+            first = -earlier if slow > 0 else 0
+            asked = np.interp(np.arange(first, steps) * step - late, logged, sent[:, j])
+            out[:, j] = (_slowed(asked, step / slow) if slow > 0 else asked)[-steps:]
+        return out
+
+
+def _slowed(asked: Array, most: float) -> Array:
+    """Goals that follow what is asked, shape (K,), by no more than ``most`` a step."""
+    if np.abs(np.diff(asked)).max() <= most:
+        return asked
+    followed, goal = asked.tolist(), float(asked[0])
+    for k, x in enumerate(followed):
+        followed[k] = goal = goal + min(max(x - goal, -most), most)
+    return np.array(followed)
+
 
 def without_torque(recordings: Sequence[Recording]) -> bool:
     """Say whether the logs have no torque.
@@ -94,9 +121,6 @@ def _check_command(recording: Recording) -> None:
 def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
     """Resample logs to uniform clocks, and split them at holes.
 
-    Args:
-        recordings: Logs with command, joints in the order of the arm.
-
     Raises:
         RecordingError: A log has no command, or no stretch lasts two seconds.
     """
@@ -121,10 +145,7 @@ def stretches_of(recordings: Sequence[Recording]) -> list[Stretch]:
 def chosen(stretches: Sequence[Stretch], seconds: float, each: float) -> list[Stretch]:
     """Choose parts in which the commands move most, as many of each log as possible.
 
-    Args:
-        stretches: Whole logs.
-        seconds: Total time of the parts, [s].
-        each: Length of a part, [s].
+    All last ``seconds`` together, and ``each`` its own time, [s].
     """
     parts: list[tuple[int, float, Stretch]] = []
     scale = np.array([x.command.std(axis=0) for x in stretches]).max(axis=0) + 1e-9

@@ -82,14 +82,15 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
     parameters, joint_damping = motors(robot, drive), dampings(robot, drive)[1]
     limits, file = stops(drive), Drive.declared(robot)
     declared = np.stack([file["lower"], file["upper"]])
-    curves = drive["quadratic"], robot.cubic
+    curves = np.stack([drive["quadratic"], robot.cubic], axis=1).tolist()
     for j, name in enumerate(robot.joints):
         joint = joint_tag(document, name)
-        turn = turn_unit(document, not robot.chain.revolute[j])
+        curve, turn = curves[j], turn_unit(document, not robot.chain.revolute[j])
         # `ref` is the angle in the pose that the file draws: the zero of the log.
         reference = float(joint.attributes.get("ref", "0"))
         given = {
-            "damping": _damping(joint_damping[j], *(x[j] for x in curves)),
+            # One number, or the coefficients of a polynomial.
+            "damping": [joint_damping[j], *curve] if any(curve) else joint_damping[j],
             "frictionloss": 0.0,
             "armature": drive["armature"][j],
             "stiffness": stiffness[j],
@@ -116,11 +117,6 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             document.insert_child(sections[0], text)
         else:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
-
-
-def _damping(linear: float, quadratic: float, cubic: float) -> float | list[float]:
-    """Damping of MJCF: one number, or the coefficients of a polynomial."""
-    return [linear, quadratic, cubic] if quadratic or cubic else linear
 
 
 def _delay(delay: float, step: float) -> dict[str, Any]:

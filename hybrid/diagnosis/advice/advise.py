@@ -21,8 +21,7 @@ from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.effects import effect_class
-from hybrid.effects.effect import Port
+from hybrid.effects import Port, effect_class
 from hybrid.excitation.folder import write_reference
 from hybrid.threads import one_thread
 

@@ -19,6 +19,7 @@ from hybrid.identification import DynamicModel
 from hybrid.identification.data import visited
 from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
+from hybrid.robot.edit.change import Actuator
 
 if TYPE_CHECKING:
     from hybrid.diagnosis.answer.result import Result
@@ -81,7 +82,13 @@ def _servo_notes(result: Result) -> list[str]:
     robot, notes = result.gap.robot, []
     for effect in result.command:
         (j,) = effect.joints
-        setting = effect.setting(float(robot.kp[j]), float(robot.kd[j]))
+        changed = Actuator().and_then(effect.actuator)
+        setting = (
+            f"delay commands by {1000 * changed.latency:.3g} ms"
+            if changed.latency
+            else f"use kp = {robot.kp[j] * changed.stiffness:.4g} "
+            f"and kd = {robot.kd[j] * changed.damping:.4g}"
+        )
         notes.append(f"{effect.id} of {robot.joints[j]}, {setting}")
     return notes
 

@@ -12,9 +12,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.shapes import Range
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.effects import Effect, effect_classes
-from hybrid.effects.effect import Port, Quantity, Scale
-from hybrid.effects.nominal import Nominal
+from hybrid.effects import Effect, Nominal, Port, Quantity, Scale, effect_classes
 from hybrid.robot import Robot
 from hybrid.robot.spatial import link_spread
 

@@ -13,8 +13,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.effects import Effect
-from hybrid.effects.effect import Quantity
+from hybrid.effects import Effect, Quantity
 
 _PRICE = 2.0  # nat, logarithm of the number of values of a shape that differ
 _SCAN_PRICE = 8.0  # nat, the same of a gain that is scanned

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
-from hybrid.effects import Effect
-from hybrid.effects.effect import Scale
+from hybrid.effects import Effect, Scale
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
