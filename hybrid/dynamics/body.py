@@ -13,6 +13,8 @@ from hybrid.dynamics.regressor import inverse_dynamics, regressor
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
+_STEP = 1e-4  # rad or m, of a difference in position
+
 
 class RigidBody:
     """The arm's rigid body along a motion; each quantity is computed once.
@@ -22,14 +24,20 @@ class RigidBody:
         motion: N samples of its motion.
         inertial: Link parameters, shape (n, 10); those of the chain by default. Any set
             with the right base parameters gives the right torque.
+        slopes_of: The body along nearly the same motion, whose slopes serve here too.
     """
 
     def __init__(
-        self, chain: Chain, motion: Motion, inertial: Array | None = None
+        self,
+        chain: Chain,
+        motion: Motion,
+        inertial: Array | None = None,
+        slopes_of: RigidBody | None = None,
     ) -> None:
         self.chain = chain
         self.motion = motion
         self.inertial = chain.inertial if inertial is None else inertial
+        self._slopes_of = slopes_of
         self._known_slopes: dict[int, tuple[Array, Array, Array]] = {}
 
     @cached_property
@@ -62,19 +70,22 @@ class RigidBody:
     def slopes(self, j: int) -> tuple[Array, Array, Array]:
         """Partial derivatives of all torques by q, v and a of a joint, (N, n) each.
 
-        Central differences of the inverse dynamics. It is quadratic in speed and linear
-        in acceleration, so only the step in position must be small.
+        Differences of the inverse dynamics. It is quadratic in speed and linear in
+        acceleration, so only the step in position must be small.
         """
+        if self._slopes_of is not None:
+            return self._slopes_of.slopes(j)
         if j not in self._known_slopes:
-            m, slopes = self.motion, []
-            unit = np.eye(self.chain.size)[j]
-            for at, step in enumerate((1e-4, 1.0, 1.0)):
-                change = np.zeros((3, 1, len(unit)))
-                change[at] = step * unit
-                ahead = self._torque(*(np.array([m.q, m.v, m.a]) + change))
-                behind = self._torque(*(np.array([m.q, m.v, m.a]) - change))
-                slopes.append((ahead - behind) / (2 * step))
-            self._known_slopes[j] = (slopes[0], slopes[1], slopes[2])
+            state = np.array([self.motion.q, self.motion.v, self.motion.a])
+
+            def torque(at: int, step: float) -> Array:
+                moved = state.copy()
+                moved[at, :, j] += step
+                return self._torque(*moved)
+
+            by_q = (torque(0, _STEP) - torque(0, -_STEP)) / (2 * _STEP)
+            by_v = (torque(1, 1.0) - torque(1, -1.0)) / 2
+            self._known_slopes[j] = by_q, by_v, torque(2, 1.0) - self.load
         return self._known_slopes[j]
 
     @property

@@ -203,12 +203,13 @@ class Gap:
         column would come out too small.
         """
         parts = []
-        for m, _, sampler in self:
+        for m, body, sampler in self:
             low = partial(butterworth, rate=m.rate, cutoff=LOWER_BAND * self.cutoff)
             # The torque is filtered: simulated again, its dry friction would reverse
             # at other times.
             slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a), tau=low(m.tau))
-            parts.append((slow, RigidBody(self.robot.chain, slow), sampler))
+            own = RigidBody(self.robot.chain, slow, slopes_of=body)
+            parts.append((slow, own, sampler))
         return parts
 
     @cached_property
