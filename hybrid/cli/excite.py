@@ -4,19 +4,38 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
+from hybrid.excitation import (
+    Clearance,
+    Condition,
+    Design,
+    DOptimal,
+    Floor,
+    Fourier,
+    Limits,
+    Spline,
+    design,
+    observe,
+)
+from hybrid.excitation.constraints import Constraint
+from hybrid.excitation.criteria import Criterion
+from hybrid.excitation.folder import DESIGN, reference_paths
+from hybrid.plant.noise import Noise
+from hybrid.report import save_figure
+from hybrid.report.excitation import (
+    information_figure,
+    motion_figure,
+    postures_figure,
+)
+from hybrid.robot import Robot
+from hybrid.robot.geometry import capsules_from_robot
 
-if TYPE_CHECKING:
-    from hybrid.excitation import Design, Limits
-    from hybrid.excitation.constraints import Constraint
-    from hybrid.excitation.criteria import Criterion
-    from hybrid.robot import Robot
-
-HELP = """design the motion that reveals the parameters
+HELP = """\
 writes DIR/reference_1.csv ... (time, position, speed, acceleration), DIR/design.json
 (coefficients, condition, predicted standard errors) and the pictures motion.png,
 information.png and postures.png. The motion starts and ends at rest and keeps the
@@ -68,13 +87,7 @@ def _add_motion(parser: ArgumentParser) -> None:
         help="choose the N motions as a set, not one after the other: better, slower",
     )
     parser.add_argument("--starts", type=options.count, default=3, metavar="N")
-    parser.add_argument(
-        "--duration",
-        type=options.positive,
-        default=20.0,
-        metavar="S",
-        help="of each, s",
-    )
+    options.add_number(parser, "--duration", "S", "of each, s", 20.0)
     parser.add_argument(
         "--order",
         type=options.count,
@@ -82,28 +95,14 @@ def _add_motion(parser: ArgumentParser) -> None:
         metavar="N",
         help="harmonics (default 10)",
     )
-    parser.add_argument(
-        "--rate", type=options.positive, default=500.0, metavar="HZ", help="of the CSV"
-    )
+    options.add_number(parser, "--rate", "HZ", "of the CSV", 500.0)
 
 
 def _add_limits(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--fill",
-        type=options.positive,
-        default=0.8,
-        metavar="PART",
-        help="part of position, speed, acceleration and torque limits to use",
-    )
-    parser.add_argument(
-        "--jerk", type=options.positive, metavar="J", help="limit, rad/s³"
-    )
-    parser.add_argument(
-        "--clearance",
-        type=options.positive,
-        metavar="M",
-        help="least distance of links, m",
-    )
+    words = "part of position, speed, acceleration and torque limits to use"
+    options.add_number(parser, "--fill", "PART", words, 0.8)
+    options.add_number(parser, "--jerk", "J", "limit, rad/s³")
+    options.add_number(parser, "--clearance", "M", "least distance of links, m")
     parser.add_argument(
         "--floor", type=float, metavar="Z", help="height that links stay above, m"
     )
@@ -111,12 +110,6 @@ def _add_limits(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Design and write."""
-    import numpy as np
-
-    from hybrid.excitation import Limits, design, observe
-    from hybrid.excitation.folder import DESIGN, reference_paths
-    from hybrid.plant.noise import Noise
-
     robot = options.load_robot(args)
     plain = args.criterion == "condition"
     wanted = "" if plain and args.effects is None else args.effects or _FITTED
@@ -149,13 +142,6 @@ def run(args: Namespace, screen: Screen) -> None:
 
 
 def _draw(args: Namespace, found: Design, limits: Limits) -> None:
-    from hybrid.report import save_figure
-    from hybrid.report.excitation import (
-        information_figure,
-        motion_figure,
-        postures_figure,
-    )
-
     motion, information, postures = (args.out / x for x in _PICTURES)
     robot, reference = found.robot, found.trajectories[0].reference(50.0)
     save_figure(motion_figure(reference, robot.joints, limits), motion)
@@ -190,9 +176,7 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
         screen.say(f"not looked at: {', '.join(left_out)}")
 
 
-def _family(args: Namespace) -> Any:
-    from hybrid.excitation import Fourier, Spline
-
+def _family(args: Namespace) -> Fourier | Spline:
     if args.family == "spline":
         return Spline(args.duration, 2 * args.order)
     return Fourier(args.order, 1.0 / args.duration)
@@ -200,18 +184,11 @@ def _family(args: Namespace) -> Any:
 
 def _criterion(name: str) -> Criterion | None:
     """The criterion of that name; None for the default."""
-    from hybrid.excitation import Condition, DOptimal
-
     kinds: dict[str, type[Criterion]] = {"condition": Condition, "d": DOptimal}
     return kinds[name]() if name in kinds else None
 
 
 def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constraint]:
-    import numpy as np
-
-    from hybrid.excitation import Clearance, Floor
-    from hybrid.robot.geometry import capsules_from_robot
-
     found: list[Constraint] = []
     if args.clearance is not None:
         found.append(Clearance.of(robot, limits, margin=args.clearance))

@@ -5,22 +5,24 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from hybrid.arrays import Array
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
-
-if TYPE_CHECKING:
-    from hybrid.arrays import Array
-    from hybrid.identification import DynamicModel
-    from hybrid.signals import Motion
+from hybrid.exports import export, read_manifest
+from hybrid.exports.manifest import FILE as MANIFEST
+from hybrid.exports.simulator.check import gaps
+from hybrid.identification import DynamicModel
+from hybrid.identification.preparation import prepare_motions
+from hybrid.names import file_stem
+from hybrid.signals import Motion
 
 _FORMATS = (
     "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
 )  # fmt: skip
 
-HELP = """export a model to C, ONNX, TorchScript, MJCF, URDF, Isaac Lab or JSON
+HELP = """\
 c            one C99 header with an example and CMakeLists.txt; torque from q, v and a,
              limited to the rated one, with a status (see the header's own comments)
 onnx         the same with a free batch axis, in double precision
@@ -64,9 +66,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Export and say what is missing."""
-    from hybrid.exports import export, read_manifest
-    from hybrid.exports.manifest import FILE as MANIFEST
-
     if args.out.exists() and not args.out.is_dir():
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")
     model = _with_file(options.load_model(args, args.model), args)
@@ -94,8 +93,6 @@ def _motions(args: Namespace, model: DynamicModel, screen: Screen) -> list[Motio
     Raises:
         HybridError: The format has nothing that is fitted to them.
     """
-    from hybrid.identification.preparation import prepare_motions
-
     if not args.recordings:
         return []
     if args.format not in _FITTED:
@@ -111,9 +108,6 @@ def _gap(
     args: Namespace, model: DynamicModel, motions: list[Motion]
 ) -> dict[str, Array]:
     """What simulators and model miss of recordings."""
-    from hybrid.exports.simulator.check import gaps
-    from hybrid.names import file_stem
-
     if not motions or args.format not in ("mjcf", "urdf"):
         return {}
     suffix = "xml" if args.format == "mjcf" else "urdf"

@@ -7,8 +7,11 @@ from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+from hybrid.fleets import fleet
+from hybrid.fleets.plan import read_plan
+from hybrid.report.fleet import fleet_tables, lead_sentence, write_fleet_pages
 
-HELP = """which arms of a fleet change, when, in what, and which are unlike the others
+HELP = """\
 PLAN is a YAML file: robot, arms (a folder with one folder of logs for each arm, or a
 table), and any of baseline, track, period, limits, payload, tool, group, time_limit,
 false_alarms, diagnose, joints, map. Dates come from the names of the logs. PLAN may be
@@ -51,10 +54,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Run the fleet, write and show."""
-    from hybrid.fleets import fleet
-    from hybrid.fleets.plan import read_plan
-    from hybrid.report.fleet import fleet_tables, lead_sentence, write_fleet_pages
-
     plan = read_plan(args.plan, robot=args.robot)
     args.inputs += [args.plan] if args.plan.is_file() else []
     how = options.begin(args, [args.out / "report.html"])
@@ -75,8 +74,6 @@ def run(args: Namespace, screen: Screen) -> None:
     }
     whole = {"arm_months": found.arm_months, "shared": list(found.shared)}
     options.write_record(args, how, whole | content)
-    for table in tables.values():
-        if table.rows:
-            screen.show_words(table.filled())
+    screen.show(*(x.filled() for x in tables.values() if x.rows))
     screen.say(lead_sentence(found))
     screen.say(f"report: {page}")

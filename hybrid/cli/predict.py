@@ -5,10 +5,15 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+import numpy as np
+
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+from hybrid.identification import predict
+from hybrid.inspect import check_recordings
+from hybrid.recording.write import write_columns, writer_of
 
-HELP = """predict the drive torque along a recording
+HELP = """\
 writes the columns time (s) and tau_JOINT (N·m); the suffix of --out, .csv, .parquet or
 .npz, says how. The recording needs time and positions only. One with an irregular clock
 is resampled first.
@@ -30,12 +35,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Predict and write."""
-    import numpy as np
-
-    from hybrid.identification import predict
-    from hybrid.inspect import check_recordings
-    from hybrid.recording.write import write_columns, writer_of
-
     writer_of(args.out)
     model = options.load_model(args, args.model)
     joints = model.robot.joints

@@ -102,9 +102,8 @@ def unlike_table(fleet: Fleet) -> Table:
         )
         for x in fleet.states if x.unlike
     ]  # fmt: skip
-    return Table(
-        ("arm", "joint", "parameter", "value", "median of others"), tuple(rows)
-    )
+    header = ("arm", "joint", "parameter", "value", "median of others")
+    return Table(header, tuple(rows))
 
 
 def _median_of_others(fleet: Fleet, state: State) -> float:
