@@ -20,8 +20,8 @@ from hybrid.report.style import (
     RED,
     clean,
     legend,
+    lines_figure,
     new_figure,
-    panels,
 )
 from hybrid.robot.geometry import capsules_from_robot
 from hybrid.robot.robot import Robot
@@ -79,17 +79,19 @@ def motion_figure(
     reference: Reference, joints: Sequence[str], limits: Limits | None = None
 ) -> Figure:
     """Draw position and speed of every joint, with its limits."""
-    figure, cells = panels(joints, height=2.1, ratios=(1.4, 1.0))
-    for j, (above, below) in enumerate(cells):
-        above.plot(reference.t, reference.q[:, j], color=BLUE, linewidth=1.2)
-        below.plot(reference.t, reference.v[:, j], color=OTHERS[0], linewidth=1.0)
-        if limits is not None:
-            bounds = (limits.low[j], limits.high[j]), limits.speed[j]
-            for axes, pair in ((above, bounds[0]), (below, (-bounds[1], bounds[1]))):
-                for level in pair:
-                    axes.axhline(level, color=RED, linewidth=0.8, linestyle=":")
-        above.set_ylabel("position\n[rad]")
-        below.set_ylabel("speed\n[rad/s]")
+    rows = {
+        "position\n[rad]": [("", reference.q, BLUE, 1.2)],
+        "speed\n[rad/s]": [("", reference.v, OTHERS[0], 1.0)],
+    }
+    figure, cells = lines_figure(reference.t, joints, rows, 2.1, ratios=(1.4, 1.0))
+    for j, (above, below) in enumerate(cells) if limits is not None else ():
+        for axes, level in (
+            (above, limits.low[j]),
+            (above, limits.high[j]),
+            (below, -limits.speed[j]),
+            (below, limits.speed[j]),
+        ):
+            axes.axhline(level, color=RED, linewidth=0.8, linestyle=":")
     return figure
 
 

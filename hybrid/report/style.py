@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
+from hybrid.arrays import Array
 from hybrid.names import figure_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Curve = tuple[str, Array, str, float]  # name, values (N, n), colour, width in points
 
 BLACK = "#1a1a1a"
 GREY = "#8c8c8c"
@@ -35,6 +39,7 @@ OTHERS = ("#e69f00", "#56b4e9")
 
 WIDTH = 7.2  # inches: the text width of a page
 _NAMES_A_LINE = 7  # of a legend, at most
+_BINS = 1000  # of a line; in each the lowest and the highest sample are drawn
 _GRID = "#e3e3e3"
 
 
@@ -95,6 +100,48 @@ def panels(
         panel[-1].set_xlabel(label)
     figure.align_ylabels()
     return figure, cells
+
+
+def lines_figure(
+    t: Array,
+    joints: Sequence[str],
+    rows: Mapping[str, Sequence[Curve]],
+    height: float,
+    ratios: tuple[float, ...] = (1.0,),
+) -> tuple[Figure, list[list[Axes]]]:
+    """Draw curves of every joint over time, with a legend of those that have a name.
+
+    Args:
+        t: Time, shape (N,), [s].
+        joints: Joint names, n of them.
+        rows: Curves by the label of their axes, from top to bottom.
+        height: Height of one panel, in [inch].
+        ratios: Heights of the axes in a panel, from top to bottom.
+
+    Returns:
+        The figure, and the axes of each joint.
+    """
+    figure, cells = panels(joints, height, ratios)
+    for j, cell in enumerate(cells):
+        for axes, (label, curves) in zip(cell, rows.items(), strict=True):
+            for name, x, ink, width in curves:
+                axes.plot(*_thinned(t, x[:, j]), color=ink, linewidth=width, label=name)
+            axes.set_ylabel(label)
+    named = [line for axes in cells[0] for line in axes.get_lines() if line.get_label()]
+    if named:
+        legend(figure, named)
+    return figure, cells
+
+
+def _thinned(t: Array, x: Array) -> tuple[Array, Array]:
+    """All samples, or the extremes of bins if there are too many."""
+    per = len(t) // _BINS
+    if per <= 2:
+        return t, x
+    whole = len(t) // per * per
+    binned = x[:whole].reshape(-1, per)
+    both = np.stack([binned.min(axis=1), binned.max(axis=1)], axis=1)
+    return np.repeat(t[:whole:per], 2), both.reshape(-1)
 
 
 def clean(axes: Axes, grid: Literal["x", "y", "both"]) -> None:
