@@ -47,11 +47,7 @@ class Envelope:
     def first_safe(
         self, make: Callable[[int], Reference], robot: Robot | None = None
     ) -> Reference:
-        """The first safe motion of some tries.
-
-        Args:
-            make: Makes a motion from the number of the try, counted from 0.
-            robot: The arm with a payload; without one by default.
+        """The first safe motion of tries from 0 on, of an arm that may have a payload.
 
         Raises:
             ExcitationError: No try is safe.
@@ -64,11 +60,7 @@ class Envelope:
         raise failed
 
     def checked(self, reference: Reference, robot: Robot | None = None) -> Reference:
-        """The reference, if it is safe.
-
-        Args:
-            reference: A motion of the arm.
-            robot: The arm with a payload; without one by default.
+        """The reference, if it is safe for the arm, which may have a payload.
 
         Raises:
             ExcitationError: A limit is exceeded, or two links come too close.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -81,15 +81,8 @@ class Menu:
     def about(self, joint: int) -> tuple[Experiment, ...]:
         """Experiments that move a joint."""
         if joint not in self._of_joint:
-            # Motions take a joint by its name, or by its number from 1 as text.
-            robot, rate, number = self._robot, self._rate, str(joint + 1)
-
-            def reversals(k: int) -> Reference:
-                posture = self._posture(k)
-                return micro_reversals(robot, number, rate=rate, posture=posture)
-
-            name = f"small reversals of {robot.joints[joint]}"
-            small = self._if_safe(name, reversals)
+            name = f"small reversals of {self._robot.joints[joint]}"
+            small = self._if_safe(name, self._of_one(micro_reversals, joint))
             self._of_joint[joint] = (*self.ladder(joint, longest=2.0), *small)
         return (*self._of_joint[joint], *self.of_all_joints)
 
@@ -99,68 +92,49 @@ class Menu:
         return Envelope.of(self._robot)
 
     def ladder(self, joint: int, *, longest: float = 4.0) -> tuple[Experiment, ...]:
-        """Motions of a joint at many speeds in both directions, if there is room.
-
-        Args:
-            joint: The joint.
-            longest: Longest time at one speed, [s].
-        """
-        robot, rate, number = self._robot, self._rate, str(joint + 1)
-
-        def make(k: int) -> Reference:
-            posture = self._posture(k)
-            return speed_ladder(
-                robot, number, longest=longest, rate=rate, posture=posture
-            )
-
-        name = f"a ladder of speeds of {robot.joints[joint]}, up and down"
-        return self._if_safe(name, make)
+        """Motions of a joint at many speeds, each for up to ``longest`` seconds."""
+        name = f"a ladder of speeds of {self._robot.joints[joint]}, up and down"
+        return self._if_safe(name, self._of_one(speed_ladder, joint, longest=longest))
 
     @cached_property
     def of_all_joints(self) -> tuple[Experiment, ...]:
         """Experiments that move all joints."""
-        robot, rng, rate = self._robot, self._rng, self._rate
-
-        def speeds(k: int) -> Reference:
-            return concatenated(at_speeds(robot, self._path(10.0, 0.2, k)))
-
-        def poses(_: int) -> Reference:
-            return static_poses(robot, self._poses(), hold=0.5, rate=rate)
+        robot, rate = self._robot, self._rate
 
         def tones(k: int) -> Reference:
             fill, posture = 0.5 * _SMALLER**k, self._posture(k)
-            return multisine(robot, fill=fill, posture=posture, seed=rng, rate=rate)
+            return multisine(
+                robot, fill=fill, posture=posture, seed=self._rng, rate=rate
+            )
 
-        return (
-            *self._if_safe(
-                "one path of all joints at 0.5, 1 and 2 times its speed", speeds
+        motions: dict[str, Callable[[int], Reference]] = {
+            "one path of all joints at 0.5, 1 and 2 times its speed": lambda k: (
+                concatenated(at_speeds(robot, self._path(10.0, 0.2, k)))
             ),
-            *self._if_safe(
-                "moves between poses all over the workspace, with a rest in each", poses
+            "moves between poses all over the workspace, with a rest in each": (
+                lambda _: static_poses(robot, self._poses(), hold=0.5, rate=rate)
             ),
-            *self._if_safe("a multisine of all joints from 0.2 to 5 Hz", tones),
-            *self._if_safe(
-                "a fast random motion of all joints over most of their range",
-                lambda k: self._path(20.0, 0.8, k),
+            "a multisine of all joints from 0.2 to 5 Hz": tones,
+            "a fast random motion of all joints over most of their range": (
+                lambda k: self._path(20.0, 0.8, k)
             ),
-            *self._prepared(),
-        )
+        }
+        found = [x for name in motions for x in self._if_safe(name, motions[name])]
+        return (*found, *self._prepared())
 
     def _prepared(self) -> tuple[Experiment, ...]:
         """Experiments that need preparation: warm drives, other gains or a payload."""
+        warm = (
+            "a random motion of all joints again when the drives are warm, after "
+            f"{_WARM_UP / 60:.0f} minutes of work, logged by the same clock"
+        )
+        twice = (
+            "a random motion of all joints twice, the second time with the gains of "
+            "the servo at half"
+        )
         found = (
-            *self._if_safe(
-                "a random motion of all joints again when the drives are warm, after "
-                f"{_WARM_UP / 60:.0f} minutes of work, logged by the same clock",
-                self._random,
-                start=_WARM_UP,
-            ),
-            *self._if_safe(
-                "a random motion of all joints twice, the second time with the gains "
-                "of the servo at half",
-                self._random,
-                gains=True,
-            ),
+            *self._if_safe(warm, self._random, start=_WARM_UP),
+            *self._if_safe(twice, self._random, gains=True),
         )
         for part in _PAYLOADS:
             mass = float(f"{part * np.median(self._robot.chain.inertial[:, 0]):.1g}")
@@ -189,6 +163,14 @@ class Menu:
         except HybridError:
             return ()
         return (Experiment(name, reference, start, mass, gains),)
+
+    def _of_one(
+        self, make: Callable[..., Reference], joint: int, **more: float
+    ) -> Callable[[int], Reference]:
+        """Tries of a motion of one joint, each in another posture."""
+        # Motions take a joint by its name, or by its number from 1 as text.
+        one = partial(make, self._robot, str(joint + 1), rate=self._rate, **more)
+        return lambda k: one(posture=self._posture(k))
 
     def _random(self, k: int) -> Reference:
         return self._path(20.0, 0.6, k)

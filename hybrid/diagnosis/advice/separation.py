@@ -125,15 +125,13 @@ class Discrimination:
         self._tried = tried
         self._ahead = ahead
         self._parts = [ahead] if alone else [recorded, ahead]
-        self._shared: dict[tuple[Candidate, ...], _Shared] = {}
+        self._shared: dict[tuple[Candidate, ...], list[Array]] = {}
 
     def separation(self, first: Rival, second: Rival) -> float:
         """Separation of two rivals by the new motion, whichever of them is true."""
-        rivals = first, second
-        stacks = [np.concatenate(r.stack(self._ahead)) for r in rivals]
-        torques = [X @ r.gains for X, r in zip(stacks, rivals, strict=True)]
-        difference, found = torques[0] - torques[1], []
-        for X, rival in zip(stacks, rivals, strict=True):
+        one, two = (np.concatenate(r.stack(self._ahead)) for r in (first, second))
+        difference, found = one @ first.gains - two @ second.gains, []
+        for X, rival in ((one, first), (two, second)):
             b = X.T @ difference
             fitted = b @ np.linalg.solve(X.T @ X + rival.precision, b)
             found.append(max(float(difference @ difference - fitted), 0.0))
@@ -164,7 +162,9 @@ class Discrimination:
         """Recordings and the torque of the new motion, if a rival is true."""
         if true.others not in self._shared:
             stacks = [p.stack(true.shared(p)) for p in self._parts]
-            self._shared = {true.others: _Shared(_joined(stacks), true.prior)}
+            # Scaled by the prior, as columns differ by many orders of magnitude.
+            scaled = [X / np.sqrt(true.prior) for X in _joined(stacks)]
+            self._shared = {true.others: scaled}
         new = [X @ true.gains for X in true.stack(self._ahead)]
         old = [p.residual for p in self._parts[:-1]]
         return _Data(self._shared[true.others], _joined([*old, new]))
@@ -201,33 +201,25 @@ class Discrimination:
         return data.evidence(_appended([p.columns(c.effect) for p in self._parts]), c)
 
 
-class _Shared:
-    """Columns X that both rivals share, (R, s) at each joint, with their precision."""
-
-    def __init__(self, X: Sequence[Array], prior: Array) -> None:
-        # Scaled by the prior, as columns differ by many orders of magnitude.
-        self.X, self.size = [x / np.sqrt(prior) for x in X], len(prior)
-        gram = np.sum([x.T @ x for x in self.X], axis=0)
-        self.factor = cho_factor(np.eye(len(prior)) + gram)
-
-
 class _Data:
-    """Torque y in units of noise, (R,) at each joint, with the shared columns."""
+    """Torque y in units of noise, (R,) at each joint, and shared columns X, (R, s)."""
 
-    def __init__(self, shared: _Shared, y: Sequence[Array]) -> None:
-        self._shared, self._y = shared, y
-        moment = np.sum([x.T @ t for x, t in zip(shared.X, y, strict=True)], axis=0)
-        self._gains = cho_solve(shared.factor, moment)
+    def __init__(self, X: Sequence[Array], y: Sequence[Array]) -> None:
+        self._X, self._y = X, y
+        gram = np.sum([x.T @ x for x in X], axis=0)
+        self._factor = cho_factor(np.eye(len(gram)) + gram)
+        moment = np.sum([x.T @ t for x, t in zip(X, y, strict=True)], axis=0)
+        self._gains = cho_solve(self._factor, moment)
 
     def evidence(self, columns: Columns, c: Candidate) -> tuple[float, Array]:
         """Log evidence of a candidate's columns, [nat], and their gains, (p,)."""
         p = len(c.std)
-        across, H, s = np.zeros((self._shared.size, p)), np.zeros((p, p)), np.zeros(p)
+        across, H, s = np.zeros((len(self._gains), p)), np.zeros((p, p)), np.zeros(p)
         for i, x in columns.items():
-            across += self._shared.X[i].T @ x
+            across += self._X[i].T @ x
             H += x.T @ x
             s += x.T @ self._y[i]
-        H -= across.T @ cho_solve(self._shared.factor, across)
+        H -= across.T @ cho_solve(self._factor, across)
         s -= across.T @ self._gains
         gain, gains, _ = heavy_tailed(H, s, c.std**-2.0, c.lower)
         return float(gain) - price(c.effect), gains
