@@ -29,11 +29,12 @@ from hybrid.diagnosis.advice.menu import (
 )
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
+    WhitenedColumns,
+    decimated,
     fit_rival,
     required_evidence,
     tried_shapes,
 )
-from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.explanations.search import Search

@@ -15,7 +15,11 @@ from hybrid.diagnosis.gap.background import (
     friction_near_rest,
     soft_friction,
 )
-from hybrid.diagnosis.gap.coverage import not_excited
+from hybrid.diagnosis.gap.coverage import (
+    not_excited,
+    too_little_motion,
+    wrong_simulator,
+)
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import (
     _asked,
@@ -26,7 +30,6 @@ from hybrid.diagnosis.gap.measure import (
 )
 from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.diagnosis.gap.units import unit_at, units
-from hybrid.diagnosis.gap.usability import too_little_motion, wrong_simulator
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import RecordingError

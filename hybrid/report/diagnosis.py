@@ -35,12 +35,9 @@ _LIGHTNESS = (0.52, 0.66)  # in turn, so that colours differ without their hue a
 
 
 def write_diagnosis(result: Result, directory: str | Path) -> None:
-    """Write ``report.html`` and ``diagnosis.json``.
+    """Write ``report.html`` and ``diagnosis.json`` into a folder.
 
-    Args:
-        result: A diagnosis with its intermediate results. Without a provenance it gets
-            the versions of all packages.
-        directory: Folder; made if it is missing.
+    Without a provenance the diagnosis gets the versions of all packages.
     """
     directory, diagnosis = Path(directory), result.diagnosis
     if not diagnosis.provenance:

@@ -32,11 +32,7 @@ Index = NDArray[np.intp]
 
 
 def joint_curves(result: Result, i: int) -> dict[str, Any]:
-    """The gap of one joint over time, and over position, speed, acceleration and load.
-
-    Args:
-        result: A diagnosis with its intermediate results.
-        i: The joint.
+    """The gap of a joint over time, and over position, speed, acceleration and load.
 
     Returns:
         JSON-ready: ``name``, ``noise`` and its ``unit``; ``time``, abscissa and
@@ -76,16 +72,10 @@ def thin(
 ) -> list[list[float | None]]:
     """Reduce curves to their ends and the lowest and highest point of each interval.
 
-    ``None`` breaks the lines where samples are missing.
-
-    Args:
-        x: Abscissa, shape (N,).
-        curves: Ordinates, each of shape (N,).
-        rows: Index of each sample in the gap, shape (N,).
-        most: Largest number of points of a curve.
+    ``None`` breaks the lines where samples are missing, as their ``rows`` tell.
 
     Returns:
-        The abscissa and each ordinate, at the same points.
+        The abscissa and each ordinate, at the same points, at most ``most``.
     """
     kept = np.arange(len(x))
     if len(x) > most:
@@ -157,11 +147,10 @@ def _short(x: Array) -> list[float | None]:
 
 
 def rms_table(result: Result) -> list[dict[str, float]]:
-    """RMS gap of each joint on held-out samples, [N·m].
+    """RMS gap of each joint ``today`` and ``after``, on held-out samples, [N·m].
 
-    Returns:
-        For each joint the gap ``today`` and ``after``, the ``noise``, and the RMS of
-        the measured ``torque``; zeros where the joint does not move.
+    With the ``noise`` and the RMS of measured ``torque``; 0 where the joint does not
+    move.
     """
     gap, scored = result.gap, result.scored
     return [

@@ -111,15 +111,8 @@ def lines_figure(
 ) -> tuple[Figure, list[list[Axes]]]:
     """Draw curves of every joint over time, with a legend of those that have a name.
 
-    Args:
-        t: Time, shape (N,), [s].
-        joints: Joint names, n of them.
-        rows: Curves by the label of their axes, from top to bottom.
-        height: Height of one panel, in [inch].
-        ratios: Heights of the axes in a panel, from top to bottom.
-
-    Returns:
-        The figure, and the axes of each joint.
+    ``rows`` are curves by the label of their axes, from top to bottom. See
+    :func:`panels`.
     """
     figure, cells = panels(joints, height, ratios)
     for j, cell in enumerate(cells):

@@ -15,11 +15,12 @@ from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
     Rival,
+    WhitenedColumns,
+    decimated,
     fit_rival,
     required_evidence,
     tried_shapes,
 )
-from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.search import Search
@@ -66,7 +67,7 @@ class Plan:
 def advise(
     result: Result, rng: np.random.Generator, *, directory: str | Path | None = None
 ) -> tuple[Advice, ...]:
-    """Advise experiments, most useful first.
+    """Advise experiments, most useful first; none if nothing is left to tell.
 
     If another effect explains as much as a finding, the safe experiment with the
     largest separation of the two is taken, if it distinguishes them. For an
@@ -78,9 +79,6 @@ def advise(
         rng: Random generator of motions.
         directory: A folder that exists, for references as CSV files (time, position,
             speed, acceleration); nothing is written by default.
-
-    Returns:
-        Advice; none if everything is explained and distinguished.
     """
     rate = min(_RATE, 1.0 / result.gap.period)
     menu = Menu(result.gap.robot, rng, rate=rate)

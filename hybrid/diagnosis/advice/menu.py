@@ -236,9 +236,7 @@ def with_payload(robot: Robot, mass: float) -> Robot:
 def gap_along(gap: Gap, experiment: Experiment) -> Gap:
     """A gap of zero along an experiment, to compute columns of effects there.
 
-    Args:
-        gap: A measured gap, for the simulator and its speeds.
-        experiment: The experiment; the arm is assumed to follow it exactly.
+    The arm is assumed to follow it exactly; ``gap`` is a measured one.
     """
     cutoff = min(gap.cutoff, _CUTOFF)
     r, robot = experiment.reference, experiment.arm(gap.robot)

@@ -108,14 +108,8 @@ def command_link(
 ) -> Link:
     """Find effects between the command and the torque of each joint.
 
-    Joints whose torque no servo law explains have no finding.
-
-    Args:
-        gap: The gap.
-        recordings: Logs of the gap; those with a command are used.
-        rng: Random generator of the bootstrap.
-        without: Ids of effects to leave out.
-        distorted: Joints to leave out, as their logged torque is not their servo's.
+    Joints whose torque no servo law explains have no finding; neither have those that
+    are ``distorted``, as their logged torque is not their servo's.
     """
     learn = split(gap)
     test = unseen_samples(gap, learn)

@@ -41,9 +41,7 @@ class ExtraFindings:
     ) -> tuple[Finding, ...]:
         """Merge with findings of the search; largest share first.
 
-        Args:
-            others: Findings of the search.
-            explained: Squares that these explain, in units of noise.
+        ``explained`` are the squares that these explain, in units of noise.
         """
         own = float(self.squares.sum())
         part = own / max(own + explained, 1e-300)
@@ -66,7 +64,7 @@ def findings(
         effects: Effect of each term with its final values.
         kinds: Ids of effects that explain as much as each term, its own first; none for
             a term in place of an unknown law.
-        parts: Share of each term in what is explained.
+        parts: Share of each term in what is explained, shape (terms,).
         rng: Random generator of the bootstrap.
     """
     gap = scored.gap
@@ -132,12 +130,8 @@ def torque_shrink(
 ) -> Shrink:
     """Compare the torque gap without a finding and with it, at the joints it changes.
 
-    Both have the corrected background and all other findings.
-
-    Args:
-        scored: The explanation.
-        without: Residual of each joint without the finding, [N·m].
-        rng: Random generator of the bootstrap.
+    Both have the corrected background and all other findings; ``without`` is the
+    residual of each joint without the finding, [N·m].
     """
     joints, samples = changed_joints(scored, without), len(scored.gap.fold)
     squares = [

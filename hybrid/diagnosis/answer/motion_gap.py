@@ -104,11 +104,8 @@ def motion_shrink(
 ) -> Shrink | None:
     """Compare motion errors without and with some terms, all others present.
 
-    Args:
-        replay: Held-out windows.
-        members: Indices of the terms.
-        rng: Random generator of the bootstrap.
-        delays: Delays of the log's torque, which are no terms; instead of ``members``.
+    ``delays`` are delays of the log's torque, which are no terms; instead of
+    ``members``.
 
     Returns:
         RMS over joints and time, [rad], without and with the terms; median over the
@@ -138,16 +135,7 @@ def motion_shrink(
 
 
 def rollout_agrees(replay: Replay, term: int, rng: np.random.Generator) -> bool | None:
-    """Whether a term lowers the motion error.
-
-    Args:
-        replay: Held-out windows.
-        term: Index of the term.
-        rng: Random generator of the bootstrap.
-
-    Returns:
-        True or False if the 95 % interval excludes zero; None otherwise.
-    """
+    """Whether a term lowers the motion error; None if its 95 % interval holds zero."""
     if replay.horizon is None:
         return None
     _, before, after = _errors(replay, [term])

@@ -81,13 +81,8 @@ class _Test:
 def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ...]:
     """Find the parts of the gap with more excess than their share of the samples.
 
-    A joint as a whole is the variable ``link``. Noise is assumed to be white up to the
-    cut-off.
-
-    Args:
-        gap: The gap.
-        noise: RMS noise of each joint, shape (n,), [N·m].
-        rng: Random generator of the bootstrap over blocks of time.
+    A joint as a whole is the variable ``link``. Noise, whose RMS has shape (n,), [N·m],
+    is assumed to be white up to the cut-off.
 
     Returns:
         Regions with a significant excess, at 5 % for all of them together; largest

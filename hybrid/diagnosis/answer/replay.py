@@ -119,9 +119,6 @@ def _mean_squares(error: Array) -> Array:
 def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     """Simulate all motions, training samples included, restarted every half second.
 
-    Args:
-        scored: The explanation.
-
     Returns:
         Positions at the samples of the gap by the simulator's file, and by the
         simulator with the findings, shape (M, n), [rad]; NaN where there is no window.
@@ -153,9 +150,7 @@ def _motions(
 ) -> tuple[tuple[Motion, ...], list[NDArray[np.bool_]], NDArray[np.intp]]:
     """Decimated motions that hold wanted samples.
 
-    Returns:
-        The motions; a mask of the wanted samples of each; index of the first sample of
-        each in the gap.
+    With a mask of the wanted samples of each, and the first sample of each in the gap.
     """
     motions, usable, start = [], [], []
     for r, (m, _, sampler) in enumerate(gap):
@@ -174,10 +169,6 @@ def windows_of(
     usable: Sequence[NDArray[np.bool_]], rate: float
 ) -> tuple[float | None, Windows]:
     """Choose windows without overlap in the usable samples of some motions.
-
-    Args:
-        usable: Mask of the usable samples of each motion, shape (N,) each.
-        rate: Samples per second, [Hz].
 
     Returns:
         Length of the windows, [s], and the windows; None and no windows if there are

@@ -44,13 +44,9 @@ def corrected(
     """Correct the numbers of the simulator, and add some effects.
 
     Rotor inertia and payloads become part of the arm. Links that are not physical are
-    replaced by the physical ones that change the torque of the motions least.
-
-    Args:
-        scored: The explanation.
-        effects: Effects to add.
-        background: Errors of links and declared numbers, shape (b,); those that were
-            scored by default.
+    replaced by the physical ones that change the torque of the motions least. The
+    errors of links and declared numbers are the ``background``, shape (b,); those that
+    were scored by default.
 
     Returns:
         The arm, and the effects that are not part of it.

@@ -55,12 +55,7 @@ class Law:
 
 
 def laws(kp: float = np.nan, kd: float = np.nan) -> Iterator[Law]:
-    """Yield every servo law, with free or with given stiffness and damping.
-
-    Args:
-        kp: Stiffness, [N·m/rad]; free if not given.
-        kd: Damping, [N·m·s/rad].
-    """
+    """Yield every servo law, with free or with given stiffness and damping."""
     unit = np.eye(SIGNALS)
     feeds = np.zeros(SIGNALS), unit[_FEED], unit[_WEIGHT]
     rest = [unit[_GROWTH], unit[_ONE]]
