@@ -47,10 +47,12 @@ examples:
   hybrid excite --robot arm.urdf --effects viscous,coulomb --clearance 0.02 \\
       --floor 0 --trajectories 3 --duration 20 --out excite"""
 
-_CRITERIA = ("error", "condition", "d")
+# The expected error is the default of a design.
+_CRITERIA: dict[str, Criterion | None] = {
+    "error": None, "condition": Condition(), "d": DOptimal(),
+}  # fmt: skip
 # What a fit of a log has beside the rigid body; published condition numbers have none.
 _FITTED = "armature,torque_offset,coulomb,viscous"
-_FAMILIES = ("fourier", "spline")
 _PICTURES = ("motion.png", "information.png", "postures.png")
 
 
@@ -66,7 +68,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--criterion",
-        choices=_CRITERIA,
+        choices=tuple(_CRITERIA),
         default="error",
         help="error: expected torque error on random motions within the limits "
         "(default); d: volume of the confidence ellipsoid; condition: number of the "
@@ -74,12 +76,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     _add_motion(parser)
-    _add_limits(parser)
     options.add_common(parser)
 
 
 def _add_motion(parser: ArgumentParser) -> None:
-    parser.add_argument("--family", choices=_FAMILIES, default="fourier")
+    parser.add_argument("--family", choices=("fourier", "spline"), default="fourier")
     parser.add_argument("--trajectories", type=options.count, default=1, metavar="N")
     parser.add_argument(
         "--together",
@@ -96,9 +97,6 @@ def _add_motion(parser: ArgumentParser) -> None:
         help="harmonics (default 10)",
     )
     options.add_number(parser, "--rate", "HZ", "of the CSV", 500.0)
-
-
-def _add_limits(parser: ArgumentParser) -> None:
     words = "part of position, speed, acceleration and torque limits to use"
     options.add_number(parser, "--fill", "PART", words, 0.8)
     options.add_number(parser, "--jerk", "J", "limit, rad/s³")
@@ -121,13 +119,16 @@ def run(args: Namespace, screen: Screen) -> None:
     limits = Limits.of(robot, fill=args.fill, jerk=jerk)
     noise = None if plain else Noise.typical(robot).torque_covariance
     observation = observe(robot.chain, effects, covariance=noise)
+    family: Fourier | Spline = Fourier(args.order, 1.0 / args.duration)
+    if args.family == "spline":
+        family = Spline(args.duration, 2 * args.order)
     with screen.working(f"designing for {observation.size} parameters"):
         found = design(
             robot,
             observation,
-            _family(args),
+            family,
             seed=args.seed,
-            criterion=_criterion(args.criterion),
+            criterion=_CRITERIA[args.criterion],
             limits=limits,
             constraints=_constraints(args, robot, limits),
             trajectories=args.trajectories,
@@ -136,17 +137,13 @@ def run(args: Namespace, screen: Screen) -> None:
             rate=max(20.0, 8.0 * args.order / args.duration),
         )
     found.save(args.out, rate=args.rate, more={"provenance": how})
-    _draw(args, found, limits)
-    options.write_record(args, how, found.as_dict())
-    _tell(args, screen, found)
-
-
-def _draw(args: Namespace, found: Design, limits: Limits) -> None:
-    motion, information, postures = (args.out / x for x in _PICTURES)
-    robot, reference = found.robot, found.trajectories[0].reference(50.0)
+    motion, information, postures = pictures
+    reference = found.trajectories[0].reference(50.0)
     save_figure(motion_figure(reference, robot.joints, limits), motion)
     save_figure(information_figure(found), information)
     save_figure(postures_figure(robot, reference), postures)
+    options.write_record(args, how, found.as_dict())
+    _tell(args, screen, found)
 
 
 def _tell(args: Namespace, screen: Screen, found: Design) -> None:
@@ -170,22 +167,10 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
         screen.say(f"each further motion shortens the mean standard error by {parts}")
     name, worst = max(found.excess.items(), key=lambda item: item[1])
     screen.say(f"nearest limit: {name}, {-100 * worst:.2g} % away")
-    options = {"links that meet (--clearance)": args.clearance}
-    options["a floor (--floor)"] = args.floor
-    if left_out := [what for what, given in options.items() if given is None]:
+    asked = {"links that meet (--clearance)": args.clearance}
+    asked["a floor (--floor)"] = args.floor
+    if left_out := [what for what, given in asked.items() if given is None]:
         screen.say(f"not looked at: {', '.join(left_out)}")
-
-
-def _family(args: Namespace) -> Fourier | Spline:
-    if args.family == "spline":
-        return Spline(args.duration, 2 * args.order)
-    return Fourier(args.order, 1.0 / args.duration)
-
-
-def _criterion(name: str) -> Criterion | None:
-    """The criterion of that name; None for the default."""
-    kinds: dict[str, type[Criterion]] = {"condition": Condition, "d": DOptimal}
-    return kinds[name]() if name in kinds else None
 
 
 def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constraint]:
