@@ -9,8 +9,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from hybrid.shown import Shown
-
 if TYPE_CHECKING:
     from hybrid.calibration import calibrate
     from hybrid.diagnosis.answer.diagnosis import Diagnosis
@@ -19,13 +17,7 @@ if TYPE_CHECKING:
     from hybrid.excitation import design as excite
     from hybrid.exports.export import export
     from hybrid.fleets.fleet import Fleet, fleet
-    from hybrid.identification import (
-        DynamicModel,
-        Fit,
-        identify,
-        predict,
-        validate,
-    )
+    from hybrid.identification import DynamicModel, Fit, identify, predict, validate
     from hybrid.identification.identifier import Identifier
     from hybrid.inspect import Inspection, inspect_recording
     from hybrid.online import OnlineIdentifier, Sample
@@ -37,9 +29,6 @@ if TYPE_CHECKING:
     from hybrid.signals import Motion
 
 __version__ = "0.1.0"
-
-# Results show themselves through a floor above them, which this package names.
-Shown.views = staticmethod(lambda: import_module("hybrid.views"))
 
 __all__ = [
     "Diagnosis",

@@ -24,12 +24,7 @@ from hybrid.recording import Recording
 from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
 from hybrid.report.diagnosis_text import verdict_lines
 from hybrid.report.servo import write_servo_page
-from hybrid.report.viewers import (
-    Scene,
-    scene_of_diagnosis,
-    scene_of_servos,
-    writer_of,
-)
+from hybrid.report.viewers import Scene, scene_of_diagnosis, scene_of_servos, writer_of
 from hybrid.robot import Robot
 
 _MOST_NOTES = 3

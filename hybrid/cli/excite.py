@@ -27,11 +27,7 @@ from hybrid.excitation.criteria import Criterion
 from hybrid.excitation.folder import DESIGN, reference_paths
 from hybrid.plant.noise import Noise
 from hybrid.report import save_figure
-from hybrid.report.excitation import (
-    information_figure,
-    motion_figure,
-    postures_figure,
-)
+from hybrid.report.excitation import information_figure, motion_figure, postures_figure
 from hybrid.robot import Robot
 from hybrid.robot.geometry import capsules_from_robot
 

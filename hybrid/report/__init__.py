@@ -1,12 +1,7 @@
 """Results as pages, figures, tables and JSON. Nothing here prints."""
 
 from hybrid.report.fit import torque_figure
-from hybrid.report.output import (
-    figure_bytes,
-    provenance,
-    save_figure,
-    write_results,
-)
+from hybrid.report.output import figure_bytes, provenance, save_figure, write_results
 from hybrid.report.page import Section, render_page, write_page
 from hybrid.report.table import (
     Table,

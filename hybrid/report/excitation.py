@@ -136,12 +136,7 @@ def _short(label: str) -> str:
     return f"{effect}, {joint}" if joint else label
 
 
-def postures_figure(
-    robot: Robot,
-    reference: Reference,
-    *,
-    count: int = 8,
-) -> Figure:
+def postures_figure(robot: Robot, reference: Reference, *, count: int = 8) -> Figure:
     """Draw the arm at equidistant times of a motion."""
     samples = np.linspace(0, len(reference.t) - 1, count).round().astype(int)
     postures = Postures.of(robot, reference.q[samples])

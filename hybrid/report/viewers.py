@@ -234,10 +234,7 @@ def write_mcap(scene: Scene, path: str | Path) -> None:
         for kind, name, x in scene.each()
     ]
     poses = {name: scene.poses(name) for name in scene.q}
-    with (
-        atomic_path(path) as temporary,
-        foxglove.open_mcap(temporary, context=apart),
-    ):
+    with atomic_path(path) as temporary, foxglove.open_mcap(temporary, context=apart):
         entities = [x for name in scene.q for x in _entities(scene, name)]
         drawn.log(SceneUpdate(entities=entities), log_time=stamps[0])
         for i, stamp in enumerate(stamps):

@@ -62,11 +62,7 @@ def fit(
     """Fit the servos of an arm as the arguments say."""
     with screen.working(f"fitting the servos of {robot.name}") as tell:
         return fit_servo(
-            robot,
-            recordings,
-            known_mass=args.known_mass,
-            gpu=args.gpu,
-            progress=tell,
+            robot, recordings, known_mass=args.known_mass, gpu=args.gpu, progress=tell
         )
 
 

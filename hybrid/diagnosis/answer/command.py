@@ -54,28 +54,18 @@ class Link(ExtraFindings):
 
 @dataclass(frozen=True, eq=False)
 class _Servo:
-    """One joint's servo, fitted with and without each of the two effects.
-
-    Attributes:
-        joint: The joint.
-        log: All its samples.
-        test: The held-out samples.
-        fits: Fits on the training samples, by (late, free): whether the command may be
-            late, and whether gains may differ from the declared ones.
-        found: Effects found: ``CommandLatency`` and ``ControllerGain``.
-        effects: The effects found, fitted to all samples.
-        noise: Residual variance of the best fit, [(N·m)²].
-        scale: Whether a wrong torque scale would explain as much as other gains.
-    """
+    """One joint's servo, fitted with and without each of the two effects."""
 
     joint: int
-    log: ServoLog
-    test: ServoLog
+    log: ServoLog  # all samples
+    test: ServoLog  # the held-out ones
+    # On the training samples, by (late, free): whether the command may be late, and
+    # whether gains may differ from the declared ones.
     fits: dict[tuple[bool, bool], Fit]
     found: tuple[type[Effect], ...]
-    effects: tuple[Effect, ...]
-    noise: float
-    scale: bool
+    effects: tuple[Effect, ...]  # those found, fitted to all samples
+    noise: float  # residual variance of the best fit, [(N·m)²]
+    scale: bool  # whether a wrong scale of torque explains as much as other gains
 
     def without(self, *kinds: type[Effect]) -> Fit:
         """The best fit without some effects."""

@@ -80,24 +80,21 @@ def findings(
         declared = [k for k in members if k not in own]  # in the file, and replaced
         members = own + declared
         joints = {j for k in members for j in effects[k].at_joints}
-        names = tuple(gap.robot.joints[j] for j in sorted(joints))
         parameters = [v for k in own for v in fitted_values(gap, effects[k])]
-        parameters += [
-            replace(v, name=f"{effects[k].id} {v.name}")
-            for k in declared
-            for v in fitted_values(gap, effects[k])
-        ]
-        replaced = dict.fromkeys(effects[k].id for k in declared)
-        law, seen = effect_class(effect_id), scored.where_seen(members)
+        for k in declared:
+            values = fitted_values(gap, effects[k])
+            parameters += [replace(v, name=f"{effects[k].id} {v.name}") for v in values]
+        seen = scored.where_seen(members)
         without = seen.left(seen.without(*members))
         finding = finding_of(
-            law,
-            names,
+            effect_class(effect_id),
+            [gap.robot.joints[j] for j in sorted(joints)],
             [a for k in own for a in kinds[k]],
             parameters,
             share=float(parts[members].sum()),
             shrink=torque_shrink(seen, without, rng),
         )
+        replaced = dict.fromkeys(effects[k].id for k in declared)
         sentence = finding.sentence + "".join(map(_REPLACES.format, replaced))
         found.append(replace(finding, sentence=sentence))
     return tuple(sorted(found, key=lambda f: -f.share))

@@ -60,9 +60,8 @@ def write_fixed(
     Raises:
         EffectError: An effect cannot be simulated.
     """
-    robot, effects = fixed_simulator(result)
-    effects = (*result.baseline, *effects)
-    folder = Path(directory)
+    robot, found = fixed_simulator(result)
+    folder, effects = Path(directory), (*result.baseline, *found)
     made = build_simulator(
         robot,
         effects,
@@ -71,19 +70,19 @@ def write_fixed(
         notes=_servo_notes(result),
     )
     made.write(folder / SIMULATOR)
-    effects = (*effects, *result.command)
-    fixed_model(result.gap, robot, effects).save(folder / MODEL)
+    whole = fixed_model(result.gap, robot, (*effects, *result.command))
+    whole.save(folder / MODEL)
     return Fixed(folder / SIMULATOR, folder / MODEL, made.notes)
 
 
 def _servo_notes(result: Result) -> list[str]:
     """Servo settings found, which a motor with torque input cannot express."""
-    robot, notes = result.gap.robot, []
-    for effect in result.command:
-        (j,) = effect.joints
-        setting = effect.setting(float(robot.kp[j]), float(robot.kd[j]))
-        notes.append(f"{effect.id} of {robot.joints[j]}, {setting}")
-    return notes
+    robot = result.gap.robot
+    return [
+        f"{e.id} of {robot.joints[j]}, {e.setting(robot.kp[j], robot.kd[j])}"
+        for e in result.command
+        for j in e.joints
+    ]
 
 
 def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:

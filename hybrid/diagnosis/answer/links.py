@@ -101,14 +101,11 @@ def _where(
     total = excess.sum()
     other = above if diagnosis.where else 0.0
     scale = other / max(other + total, 1e-300)
-    found = [
-        replace(
-            r,
-            share=scale * r.share,
-            interval=(scale * r.interval[0], scale * r.interval[1]),
-        )
-        for r in diagnosis.where
-    ]
+    found = []
+    for r in diagnosis.where:
+        low, high = r.interval
+        ends = scale * low, scale * high
+        found.append(replace(r, share=scale * r.share, interval=ends))
     for i in np.flatnonzero(excess.sum(axis=0) > 0).tolist():
 
         def share(k: NDArray[np.intp], i: int = i) -> Array:

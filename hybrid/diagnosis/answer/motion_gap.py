@@ -36,10 +36,7 @@ _HALVED = (
 
 
 def with_motion_gap(
-    result: Result,
-    rng: np.random.Generator,
-    *,
-    progress: Progress | None = None,
+    result: Result, rng: np.random.Generator, *, progress: Progress | None = None
 ) -> Result:
     """Add the gap in motion to each finding.
 
@@ -86,8 +83,8 @@ def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diag
         left = max(diagnosis.unexplained, min(share, 1.0))
         diagnosis = replace(diagnosis, verdict="partly_explained", unexplained=left)
     notes = [_DENIED.format(f.effect) for f in denied]
-    notes += [_ASTRAY.format(", ".join(diverged))] if diverged else []
-    notes += [_NO_REPLAY.format(", ".join(unknown))] if unknown else []
+    for words, effects in ((_ASTRAY, diverged), (_NO_REPLAY, unknown)):
+        notes += [words.format(", ".join(effects))] if effects else []
     return _noted(diagnosis, [*notes, *step_warning(replay)])
 
 

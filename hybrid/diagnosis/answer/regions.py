@@ -37,37 +37,24 @@ _FIRST_BAND = 0.5  # Hz, its end
 class _Histogram:
     """Excess and samples of a joint in the bins of one variable.
 
-    Attributes:
-        joint: The joint.
-        variable: Name of the variable.
-        unit: Its unit.
-        edges: Edges of the bins, shape (K + 1,).
-        excess: Excess by block of time and bin, shape (B, K), [1].
-        samples: Number of samples by block and bin, shape (B, K); each sample counts
-            in all bands of frequency, by their share of the noise.
+    Each sample counts in all bands of frequency, by their share of the noise.
     """
 
     joint: int
     variable: str
     unit: str
-    edges: Array
-    excess: Array
-    samples: Array
+    edges: Array  # (K + 1,)
+    excess: Array  # by block of time and bin, (B, K)
+    samples: Array  # the same
 
 
 @dataclass(frozen=True)
 class _Test:
-    """Significance test of an excess.
+    """Significance test of an excess."""
 
-    Attributes:
-        draws: Number of times each block of time is in each resample, shape (R, B).
-        limit: Critical value, [standard deviations], for all regions together.
-        correlated: Samples per independent sample.
-    """
-
-    draws: NDArray[np.int64]
-    limit: float
-    correlated: float
+    draws: NDArray[np.int64]  # how often a block is in each resample, (R, B)
+    limit: float  # critical value, [standard deviations], for all regions together
+    correlated: float  # samples per independent sample
 
     def exceeds(self, excess: float, samples: float) -> bool:
         """Whether an excess is significant, and above the error of the noise.

@@ -24,6 +24,7 @@ from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.regression.problem import part
+from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 HORIZONS = (0.5, 0.1)  # s, by preference
@@ -130,19 +131,19 @@ def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     motions, usable, start = _motions(gap, np.ones(len(gap.fold), dtype=np.bool_))
     span = round(HORIZONS[0] * gap.rate)
     motion, sample = _starts(usable, span).T
-    found = []
-    for robot, effects in ((gap.robot, ()), corrected(scored, scored_effects(scored))):
+    windows = Windows(motion, sample, span)
+    at = start[motion] + sample + np.arange(span + 1)[:, None]
+
+    def positions(robot: Robot, effects: Sequence[Effect]) -> Array:
         q = np.full_like(gap.left, np.nan)
-        if len(motion):
-            windows = Windows(motion, sample, span)
-            at = start[motion] + sample + np.arange(span + 1)[:, None]
-            for step in _STEPS:
-                simulated = rollout(robot, effects, motions, windows, step=step)
-                if np.isfinite(simulated).all():
-                    break
-            q[at] = simulated
-        found.append(q)
-    return found[0], found[1]
+        for step in _STEPS if len(motion) else ():
+            q[at] = rollout(robot, effects, motions, windows, step=step)
+            if np.isfinite(q[at]).all():
+                break
+        return q
+
+    found = corrected(scored, scored_effects(scored))
+    return positions(gap.robot, ()), positions(*found)
 
 
 def _motions(

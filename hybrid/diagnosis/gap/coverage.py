@@ -9,6 +9,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.units import units
+from hybrid.identification.preparation import STANDING
 
 _STILL = 0.005  # rad; range of a joint at rest, by noise and servo
 _SHORTEST = 0.2  # s, in a condition
@@ -39,7 +40,7 @@ def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
         yield 0, f"{name} does not move"
         return
     fewest, speed = _SHORTEST * gap.rate, np.abs(v)
-    still = 0.01 * speed.max()
+    still = STANDING * speed.max()
     for word, moving in (("up", v > still), ("down", v < -still)):
         if moving.sum() < fewest:
             yield 1, f"{name} moving {word}"

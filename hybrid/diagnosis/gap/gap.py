@@ -95,9 +95,8 @@ class Gap:
             return np.concatenate([getattr(m, name)[:: s.factor] for m, _, s in self])
 
         t, q, v, a, tau, mask = map(stack, ("t", "q", "v", "a", "tau", "mask"))
-        warm = None
-        if all(m.temperature is not None for m in self.motions):
-            warm = stack("temperature")
+        known = all(m.temperature is not None for m in self.motions)
+        warm = stack("temperature") if known else None
         return Motion(t, q, v, a, tau, mask.astype(bool), warm, self.robot.joints)
 
     @cached_property
@@ -149,13 +148,11 @@ class Gap:
         parts = []
         lower = self.lower_band_reported if effect.reports else self.lower_band
         for motion, body, sampler in lower if lower_band else self:
+            columns = self._first(effect, motion, body)
             if effect.linearised and gains.any():
-                first = self._first(effect, motion, body)
-                rest = self._change(effect, motion, body) - first @ gains
-                along = rest[:, :, None] * gains / (gains @ gains)
-                parts.append(sampler(first + along))
-            else:
-                parts.append(sampler(self._first(effect, motion, body)))
+                rest = self._change(effect, motion, body) - columns @ gains
+                columns = columns + rest[:, :, None] * gains / (gains @ gains)
+            parts.append(sampler(columns))
         stacked = np.concatenate(parts)
         reached = effect.reaches(self.robot.size)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
@@ -188,12 +185,10 @@ class Gap:
         """Change of the simulated torque by an effect that changes signals, (N, r)."""
         reached = list(effect.reaches(self.robot.size))
         if effect.reports:
-            return (
-                effect.report(motion.t, motion.tau[:, reached]) - motion.tau[:, reached]
-            )
+            known = motion.tau[:, reached]
+            return effect.report(motion.t, known) - known
         seen = effect.observe(motion, body)
-        chain = self.robot.chain
-        tau = simulated_torque(self.robot, seen, RigidBody(chain, seen))
+        tau = simulated_torque(self.robot, seen, RigidBody(self.robot.chain, seen))
         return (tau - motion.tau)[:, reached]
 
     @cached_property

@@ -14,13 +14,16 @@ from hybrid.diagnosis.gap.faults import Faults, find_faults
 from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.errors import RecordingError
-from hybrid.identification.preparation import decimated_motion, motions_from_logs
+from hybrid.identification.preparation import (
+    STANDING,
+    decimated_motion,
+    motions_from_logs,
+)
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 from hybrid.signals.filters import butterworth, filter_reach, passes_all
 
-_STANDING = 0.01  # of the highest speed
 _SLOWEST = 0.002  # rad/s or m/s, speed that noise shows at rest
 _REST = 0.7  # periods of the cut-off, reach of declared dry friction near rest
 _FAR = 10.0  # standard deviations of noise, of simulated from measured torque
@@ -50,26 +53,22 @@ def measure_gap(
         RecordingError: A recording has no torque, or there are motions alone and no
             cut-off.
     """
-    known = cutoff is not None or any(isinstance(x, Recording) for x in recordings)
-    if not known:
+    if cutoff is None and not any(isinstance(x, Recording) for x in recordings):
         raise RecordingError(
             "motions do not say how they were filtered; valid is a cut-off besides, "
             "in Hz"
         )
-    motions, cutoff = motions_from_logs(recordings, cutoff)
-    cutoff = min(cutoff, *(m.rate / 2 for m in motions))  # no filter lets through more
-    motions = [correct(m) for m in motions] if correct else motions
-    _check_torque(motions)
-    faults = [_faults(x, m, cutoff) for x, m in zip(recordings, motions, strict=True)]
+    logged, cutoff = motions_from_logs(recordings, cutoff)
+    cutoff = min(cutoff, *(m.rate / 2 for m in logged))  # no filter lets through more
+    logged = [_with_torque(correct(m) if correct else m) for m in logged]
+    faults = [_faults(x, m, cutoff) for x, m in zip(recordings, logged, strict=True)]
     motions = [
-        replace(m, mask=m.mask & ~f.posture)
-        for m, f in zip(motions, faults, strict=True)
+        decimated_motion(replace(m, mask=m.mask & ~f.posture), cutoff)
+        for m, f in zip(logged, faults, strict=True)
     ]
-    rates = [m.rate for m in motions]
-    motions = [decimated_motion(m, cutoff) for m in motions]
     speeds = [np.abs(m.v[m.mask]) for m in motions if m.mask.any()]
     fastest = np.max([x.max(axis=0) for x in speeds], axis=0, initial=0.0)
-    slowest = np.maximum(_STANDING * fastest, _SLOWEST)
+    slowest = np.maximum(STANDING * fastest, _SLOWEST)
     bodies = tuple(RigidBody(robot.chain, m) for m in motions)
     simulated, left, moving = [], [], []
     for r, (motion, body) in enumerate(zip(motions, bodies, strict=True)):
@@ -78,27 +77,26 @@ def measure_gap(
         left.append(sampler(motion.tau - tau))
         asked = _asked(motion, tau, cutoff)
         simulated.append(replace(motion, tau=tau, asked=asked, number=r))
-        usable = sampler.keep(motion.mask)[:, None]
-        every = round(rates[r] / motion.rate) * sampler.factor
-        usable = usable & ~faults[r].torque[::every]
+        every = round(logged[r].rate / motion.rate) * sampler.factor
+        usable = sampler.keep(motion.mask)[:, None] & ~faults[r].torque[::every]
         moving.append(usable & ~_standing(robot, motion, slowest, cutoff))
     fold, trajectory = _folds(motions, cutoff)
     used = np.concatenate(moving)
     used &= used.mean(axis=0) > _FEWEST_MOVING
     return Gap(
-        robot, tuple(simulated), bodies, cutoff, 1.0 / rates[0],
+        robot, tuple(simulated), bodies, cutoff, 1.0 / logged[0].rate,
         np.concatenate(left), used, fold, trajectory,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
 
 
-def _check_torque(motions: Sequence[Motion]) -> None:
-    for motion in motions:
-        if not np.isfinite(motion.tau).all():
-            raise RecordingError(
-                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
-                "positions and torques"
-            )
+def _with_torque(motion: Motion) -> Motion:
+    if np.isfinite(motion.tau).all():
+        return motion
+    raise RecordingError(
+        f"{motion.source or 'recording'}: no torque; valid is a log of time, positions "
+        "and torques"
+    )
 
 
 def _standing(
