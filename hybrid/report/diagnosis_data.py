@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.units import units
+from hybrid.report.style import extremes
 
 if TYPE_CHECKING:
     from hybrid.diagnosis.answer.result import Result
@@ -77,14 +78,7 @@ def thin(
     Returns:
         The abscissa and each ordinate, at the same points, at most ``most``.
     """
-    kept = np.arange(len(x))
-    if len(x) > most:
-        edges = np.linspace(0, len(x), most // 2).astype(int)
-        ends = [*zip(edges[:-1], edges[1:], strict=True)]
-        pairs = [
-            (a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends for y in curves
-        ]
-        kept = np.unique([(0, len(x) - 1), *pairs])
+    kept = extremes(curves, most)
     stretch = np.cumsum(np.diff(rows, prepend=rows[:1]) > 1)[kept]
     xs, *ys = (_short(values[kept]) for values in (x, *curves))
     for at in np.flatnonzero(np.diff(stretch))[::-1] + 1:

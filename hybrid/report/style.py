@@ -7,6 +7,7 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.names import figure_text
@@ -39,7 +40,7 @@ OTHERS = ("#e69f00", "#56b4e9")
 
 WIDTH = 7.2  # inches: the text width of a page
 _NAMES_A_LINE = 7  # of a legend, at most
-_BINS = 1000  # of a line; in each the lowest and the highest sample are drawn
+_MOST_POINTS = 3000  # of a line
 _GRID = "#e3e3e3"
 
 
@@ -118,7 +119,8 @@ def lines_figure(
     for j, cell in enumerate(cells):
         for axes, (label, curves) in zip(cell, rows.items(), strict=True):
             for name, x, ink, width in curves:
-                axes.plot(*_thinned(t, x[:, j]), color=ink, linewidth=width, label=name)
+                k = extremes([x[:, j]], _MOST_POINTS)
+                axes.plot(t[k], x[k, j], color=ink, linewidth=width, label=name)
             axes.set_ylabel(label)
     named = [line for axes in cells[0] for line in axes.get_lines() if line.get_label()]
     if named:
@@ -126,15 +128,20 @@ def lines_figure(
     return figure, cells
 
 
-def _thinned(t: Array, x: Array) -> tuple[Array, Array]:
-    """All samples, or the extremes of bins if there are too many."""
-    per = len(t) // _BINS
-    if per <= 2:
-        return t, x
-    whole = len(t) // per * per
-    binned = x[:whole].reshape(-1, per)
-    both = np.stack([binned.min(axis=1), binned.max(axis=1)], axis=1)
-    return np.repeat(t[:whole:per], 2), both.reshape(-1)
+def extremes(curves: Sequence[Array], most: int) -> NDArray[np.intp]:
+    """The ends of curves, and the lowest and highest point of each in every interval.
+
+    Where there are at most ``most`` samples, these are all.
+    """
+    size = len(curves[0])
+    if size <= most:
+        return np.arange(size)
+    edges = np.linspace(0, size, most // 2).astype(int)
+    ends = [*zip(edges[:-1], edges[1:], strict=True)]
+    pairs = [
+        (a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends for y in curves
+    ]
+    return np.unique([(0, size - 1), *pairs])
 
 
 def clean(axes: Axes, grid: Literal["x", "y", "both"]) -> None:

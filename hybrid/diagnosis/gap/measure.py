@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.faults import Faults, find_faults
@@ -156,11 +157,7 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
 
 def _around(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """Flags, shape (M, k), widened by a number of samples to both sides."""
-    window, near = np.ones(2 * reach + 1), np.zeros_like(flags)
-    for j in np.flatnonzero(flags.any(axis=0)):
-        # Mode "same" would be longer than the flags where the window is.
-        near[:, j] = np.convolve(flags[:, j], window)[reach : -reach or None] > 0.5
-    return near
+    return np.asarray(binary_dilation(flags, np.ones((2 * reach + 1, 1))))
 
 
 def block_seconds(motions: Sequence[Motion]) -> float:

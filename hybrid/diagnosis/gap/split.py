@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
@@ -59,5 +60,4 @@ def unseen_samples(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if gap.trajectory.max() >= 3:
         return ~learn
     reach = round(block_seconds(gap.motions) / 6 * gap.rate)
-    near = np.convolve(learn, np.ones(2 * reach + 1), mode="same") > 0
-    return ~learn & ~near
+    return np.asarray(~binary_dilation(learn, np.ones(2 * reach + 1)))
