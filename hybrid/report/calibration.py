@@ -22,12 +22,8 @@ def errors_table(errors: Errors) -> Table:
     rows = []
     for kind, calibrated in errors.calibrated.items():
         factor, unit = _SHOWN[_UNIT[kind]]
-        numbers = [
-            factor * number
-            for sizes in (errors.nominal[kind], calibrated)
-            for number in _sizes(sizes).values()
-        ]
-        rows.append((f"{kind} [{unit}]", *(f"{x:.4g}" for x in numbers)))
+        both = *_sizes(errors.nominal[kind]).values(), *_sizes(calibrated).values()
+        rows.append((f"{kind} [{unit}]", *(f"{factor * x:.4g}" for x in both)))
     sizes_shown = ("median", "RMS", "largest")
     header = ("", *(f"{arm} {x}" for arm in ("nominal", "new") for x in sizes_shown))
     return Table(header, tuple(rows), "Error on poses left out of the fit")

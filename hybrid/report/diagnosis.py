@@ -85,19 +85,17 @@ def render_diagnosis(result: Result) -> str:
 
 def _gap_rows(result: Result) -> tuple[list[dict[str, Any]], float]:
     """Gaps of each joint with widths of their bars, and the largest relative gap."""
-    table, joints = rms_table(result), result.diagnosis.joints
-    shares = [max(x["today"], x["after"]) / x["torque"] for x in table if x["torque"]]
+    rows: list[dict[str, Any]] = [*map(dict, rms_table(result))]
+    shares = [max(x["today"], x["after"]) / x["torque"] for x in rows if x["torque"]]
     longest = max(shares, default=1.0) or 1.0
-    rows: list[dict[str, Any]] = []
-    for i, (joint, row) in enumerate(zip(joints, table, strict=True)):
-        unit = units(result.gap.robot, [i])[1]
+    for i, row in enumerate(rows):
         # Bars are relative to each joint's torque, so that small joints are visible.
         whole = longest * row["torque"] or np.inf
         width = {k: 100 * min(1.0, x / whole) for k, x in row.items()}
-        above = np.sqrt(max(0.0, width["today"] ** 2 - width["noise"] ** 2)) / 100
-        rows.append(
-            {**row, "joint": joint, "unit": unit, "width": width, "above": above}
-        )
+        row["width"], row["joint"] = width, result.diagnosis.joints[i]
+        row["unit"] = units(result.gap.robot, [i])[1]
+        above = max(0.0, width["today"] ** 2 - width["noise"] ** 2)
+        row["above"] = np.sqrt(above) / 100
     return rows, longest
 
 

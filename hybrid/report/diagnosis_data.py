@@ -5,6 +5,7 @@ Curves have few points, all of held-out samples.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,9 +108,9 @@ def _clouds(
     scored: Explanation, i: int, spots: Index, over: Mapping[str, Array]
 ) -> list[dict[str, Any]]:
     def cloud(effect: str, law: Array, shown: Array) -> dict[str, Any]:
-        own = {"effect": effect, "y": _short(after + law), "law": _short(law)}
         order = sorted(over, key=lambda name: _roughness(over[name], shown))
-        return {**own, "order": order}
+        y = _short(after + law)
+        return {"effect": effect, "y": y, "law": _short(law), "order": order}
 
     found, after = [], scored.after[i][spots]
     for effect in dict.fromkeys(term.place[0] for term in scored.terms):
@@ -164,22 +165,17 @@ def _rms(x: Array) -> float:
 
 @dataclass(frozen=True)
 class Cell:
-    """Evidence of one effect at one joint, or at all joints.
+    """Evidence of one effect at one joint, or at all, as decimal logarithm of odds.
 
-    Attributes:
-        width: Number of joints that the cell covers.
-        joints: Names of these joints.
-        alone: Evidence of the effect alone, as the decimal logarithm of the odds.
-        beside: Evidence of the effect in addition to the findings; for a finding the
-            evidence that its removal loses.
-        named: Whether it is a finding.
+    In addition to the findings (``beside``), it is for a finding the evidence that its
+    removal loses.
     """
 
-    width: int
+    width: int  # number of joints that the cell covers
     joints: str
     alone: float
     beside: float
-    named: bool
+    named: bool  # whether it is a finding
 
 
 @dataclass(frozen=True)
@@ -199,9 +195,9 @@ class Matrix:
 def evidence_matrix(result: Result) -> Matrix:
     """Collect the evidence of every effect at every joint."""
     search, joints = result.search, result.gap.robot.joints
-    found: dict[tuple[str, tuple[int, ...]], float] = {}
+    found = defaultdict[tuple[str, tuple[int, ...]], float](float)
     for t in search.terms:  # several ripples may share a place
-        found[t.place] = max(found.get(t.place, 0.0), search.loss(t))
+        found[t.place] = max(found[t.place], search.loss(t))
     alone = {c.place: gain for c, gain in search.ranked(search.background)}
     beside = {c.place: gain for c, gain in search.ranked(search.base())} | found
     scopes = {t.place: t.candidate.effect for t in (*search.pool.tried, *search.terms)}

@@ -87,8 +87,8 @@ class Scene:
             own = capsules.link == k
             ends = capsules.ends[own]
             axis = ends[:, 1] - ends[:, 0]
-            length = np.linalg.norm(axis, axis=1)
             turns = np.array([_rotation_to(x) for x in axis])
+            length = np.linalg.norm(axis, axis=1)
             yield k, ends, capsules.radius[own], length, turns
 
     def _capsules(self) -> Capsules:
@@ -104,10 +104,9 @@ class Scene:
 
 def _rotation_to(axis: Array) -> Array:
     """Quaternion (x, y, z, w) that rotates the z axis along a vector."""
-    rotation = Rotation.identity()
-    if axis.any():
-        rotation, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
-    return np.asarray(rotation.as_quat())
+    if not axis.any():
+        return np.array([0.0, 0.0, 0.0, 1.0])
+    return np.asarray(Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])[0].as_quat())
 
 
 def scene_of_diagnosis(result: Result) -> Scene:
@@ -254,22 +253,28 @@ def _frame(scene: Scene, name: str, k: int) -> str:
     return f"{name}/{scene.robot.joints[k]}" if k >= 0 else _BASE
 
 
+def _placed(place: Array, turn: Array) -> tuple[Any, Any]:
+    """An origin and a quaternion (x, y, z, w) as messages."""
+    from foxglove import messages as m
+
+    origin = m.Vector3(**dict(zip("xyz", place.tolist(), strict=True)))
+    return origin, m.Quaternion(**dict(zip("xyzw", turn.tolist(), strict=True)))
+
+
 def _transforms(
     scene: Scene, name: str, turn: Array, place: Array, stamp: int
-) -> list[Any]:
+) -> Iterator[Any]:
     """Poses of the links at one time, from quaternions (n, 4) and origins (n, 3)."""
     from foxglove import messages as m
 
-    return [
-        m.FrameTransform(
+    for k, pose in enumerate(map(_placed, place, turn)):
+        yield m.FrameTransform(
             timestamp=m.Timestamp(*divmod(stamp, 10**9)),
             parent_frame_id=_BASE,
             child_frame_id=_frame(scene, name, k),
-            translation=m.Vector3(**dict(zip("xyz", p, strict=True))),
-            rotation=m.Quaternion(**dict(zip("xyzw", q, strict=True))),
+            translation=pose[0],
+            rotation=pose[1],
         )
-        for k, (q, p) in enumerate(zip(turn.tolist(), place.tolist(), strict=True))
-    ]
 
 
 def _entities(scene: Scene, name: str) -> Iterator[Any]:
@@ -277,10 +282,8 @@ def _entities(scene: Scene, name: str) -> Iterator[Any]:
     from foxglove import messages as m
 
     def pose(place: Array, turn: Array) -> Any:
-        return m.Pose(
-            position=m.Vector3(**dict(zip("xyz", place.tolist(), strict=True))),
-            orientation=m.Quaternion(**dict(zip("xyzw", turn.tolist(), strict=True))),
-        )
+        origin, turned = _placed(place, turn)
+        return m.Pose(position=origin, orientation=turned)
 
     red, green, blue = (x / 255 for x in _rgb(name))
     color = m.Color(r=red, g=green, b=blue, a=_OPACITY)
