@@ -1,7 +1,5 @@
 """Tell a caller who passes an argument of another type what is right."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Write outputs whole or not at all; limit the size of inputs before parsing them."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import fcntl

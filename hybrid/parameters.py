@@ -1,7 +1,5 @@
 """A scalar with its unit, bounds and uncertainty."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 from typing import Any

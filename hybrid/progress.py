@@ -1,7 +1,5 @@
 """What a verb that takes its time tells while it works."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 

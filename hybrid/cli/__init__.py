@@ -3,8 +3,6 @@
 One verb = one file = one public function. Only this package prints.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import sys

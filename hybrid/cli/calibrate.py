@@ -1,7 +1,5 @@
 """``hybrid calibrate``: the geometry of an arm from measured poses."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 

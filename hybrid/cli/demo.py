@@ -1,7 +1,5 @@
 """``hybrid demo``: a real log from reading to a model, without a robot or a network."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 

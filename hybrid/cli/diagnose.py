@@ -1,7 +1,5 @@
 """``hybrid diagnose``: what a simulator lacks, from logs of the real arm."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import replace

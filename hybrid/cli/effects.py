@@ -1,7 +1,5 @@
 """``hybrid effects``: what can be simulated and found."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 from typing import Any

@@ -1,7 +1,5 @@
 """``hybrid excite``: the motion that reveals the parameters."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 

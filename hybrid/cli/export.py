@@ -1,7 +1,5 @@
 """``hybrid export``: a model in a format that other programs run."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path

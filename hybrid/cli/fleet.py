@@ -1,7 +1,5 @@
 """``hybrid fleet``: many arms over time, and against each other."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``hybrid identify``: a dynamic model from recordings."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any

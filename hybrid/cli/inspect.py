@@ -1,7 +1,5 @@
 """``hybrid inspect``: what logs hold, what they tell, and what is wrong with them."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``hybrid predict``: torque that a model gives along a recording."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 

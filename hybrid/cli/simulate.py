@@ -1,7 +1,5 @@
 """``hybrid simulate``: recordings of a simulated arm with a known truth."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``hybrid track``: parameters followed sample by sample along a recording."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from time import perf_counter_ns

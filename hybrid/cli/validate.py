@@ -1,7 +1,5 @@
 """``hybrid validate``: errors of a model on recordings it has not seen."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 

@@ -1,15 +1,11 @@
 """Show a kinematic calibration: tables, and content for JSON."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from hybrid.calibration import Calibration, Errors
 from hybrid.report.table import Table
-
-if TYPE_CHECKING:
-    from hybrid.calibration import Calibration, Errors
 
 # Factor and unit of numbers in tables.
 _SHOWN = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N·m)": (1e6, "µrad/(N·m)")}

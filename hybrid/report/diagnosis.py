@@ -1,16 +1,16 @@
 """Write the report of a diagnosis: a self-contained page, and JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
+from hybrid.diagnosis.answer.diagnosis import Diagnosis
+from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.gap.units import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
@@ -20,10 +20,6 @@ from hybrid.report.diagnosis_text import effect_name
 from hybrid.report.excitation import Postures
 from hybrid.report.output import provenance, write_results
 from hybrid.report.page import render_template
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.diagnosis import Diagnosis
-    from hybrid.diagnosis.answer.result import Result
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 

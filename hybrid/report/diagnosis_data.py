@@ -3,25 +3,21 @@
 Curves have few points, all of held-out samples.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
+from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.units import units
+from hybrid.effects import Effect
 from hybrid.report.style import extremes
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
-    from hybrid.diagnosis.explanations.explanation import Explanation
-    from hybrid.effects import Effect
 
 MOST_POINTS = 1500  # of a curve or a scatter plot
 _DIGITS = 4

@@ -1,20 +1,17 @@
 """Tables of results, as text for a page, a terminal or Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Self
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table as RichTable
+from rich.text import Text
 
 from hybrid.arrays import Array
+from hybrid.identification import Validation
 from hybrid.names import markdown
-
-if TYPE_CHECKING:
-    from rich.table import Table as RichTable
-
-    from hybrid.identification import Validation
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class Table:
     caption: str = ""
     words: bool = False
 
-    def filled(self) -> Table:
+    def filled(self) -> Self:
         """The table without its empty columns."""
         kept = [
             k for k, column in enumerate(zip(*self.rows, strict=True)) if any(column)
@@ -90,10 +87,6 @@ def terminal_table(table: Table) -> RichTable:
 
     Rows of numbers with an empty last cell are dim.
     """
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
     rich = RichTable(
         box=SIMPLE_HEAD,
         title=Text(table.caption) if table.caption else None,

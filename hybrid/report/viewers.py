@@ -3,18 +3,17 @@
 Links are drawn as capsules, in the base frame, [m].
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.replay import simulated_positions
+from hybrid.diagnosis.answer.result import Result
 from hybrid.dynamics.kinematics import frames
 from hybrid.errors import HybridError, RobotError
 from hybrid.extras import check_extra
@@ -23,10 +22,7 @@ from hybrid.report.diagnosis_data import continuous_time
 from hybrid.report.style import BLUE, GREY, RED
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 from hybrid.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
-    from hybrid.servo.servo_fit import ServoReplay
+from hybrid.servo.servo_fit import ServoReplay
 
 _MEASURED, _FILE, _FOUND = "measured", "as the file stands", "with what was found"
 _INKS = {_MEASURED: GREY, _FILE: RED, _FOUND: BLUE}

@@ -1,7 +1,5 @@
 """Arguments that several verbs share, and functions that load what they name."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os

@@ -1,7 +1,5 @@
 """The terminal: results on stdout, everything about the run on stderr."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Logs without torque, which ``hybrid identify`` and ``hybrid diagnose`` both take."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 

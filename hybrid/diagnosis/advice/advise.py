@@ -1,13 +1,10 @@
 """Advise experiments that distinguish candidate effects."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,15 +19,13 @@ from hybrid.diagnosis.advice.separation import (
     tried_shapes,
 )
 from hybrid.diagnosis.answer.diagnosis import Advice
+from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.effects import effect_class
 from hybrid.effects.effect import Port
 from hybrid.excitation.folder import write_reference
 from hybrid.threads import one_thread
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
 
 _MARGIN = 1.2  # times the required evidence
 _MOST_PAIRS = 6

@@ -1,7 +1,5 @@
 """Experiments that an arm can run safely, as reference motions within its limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

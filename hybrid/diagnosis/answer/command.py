@@ -4,8 +4,6 @@ They do not show between torque and motion. Here the measured torque is compared
 the torque that a servo law asks for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 

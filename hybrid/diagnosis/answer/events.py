@@ -1,7 +1,5 @@
 """What happened at a time: contacts of a moving arm, and pushes on one at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Turn terms of an explanation into findings: effects grouped over joints."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

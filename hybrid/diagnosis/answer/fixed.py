@@ -1,14 +1,12 @@
 """Write the simulator with the findings of a diagnosis, as MJCF and as a model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.simulator import corrected
 from hybrid.diagnosis.explanations.refit import solve_all
 from hybrid.diagnosis.gap.gap import Gap
@@ -19,9 +17,6 @@ from hybrid.identification import DynamicModel
 from hybrid.identification.data import visited
 from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
 
 SIMULATOR = "sim_fixed.xml"
 MODEL = "model.json"

@@ -1,7 +1,5 @@
 """95 % intervals by the bootstrap over blocks of time, as samples are correlated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

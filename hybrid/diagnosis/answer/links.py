@@ -4,8 +4,6 @@ A delay of torque that all joints share comes from time stamps of another clock.
 removed from the log before the search, as it delays the torque of all effects.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

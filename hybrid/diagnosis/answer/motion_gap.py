@@ -1,7 +1,5 @@
 """Measure the gap in motion, by simulation without and with each finding."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ joint and variable the densest range is reported: its excess is farthest above t
 excess that its share of the joint's samples would have.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

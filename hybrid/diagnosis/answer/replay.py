@@ -6,8 +6,6 @@ declared friction as fitted with all effects. In an unstable posture any model d
 after some time, so windows are short, and the same for all simulators.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """A diagnosis with its intermediate results."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

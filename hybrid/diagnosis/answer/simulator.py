@@ -1,7 +1,5 @@
 """Add the findings of a diagnosis to the simulator: a physical arm, and effects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

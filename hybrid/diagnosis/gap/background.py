@@ -4,8 +4,6 @@ They are errors of the numbers of the robot file, the shape of dry friction near
 and the time between two samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

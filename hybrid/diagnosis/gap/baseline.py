@@ -1,7 +1,5 @@
 """A model of the healthy arm as the simulator, to diagnose what has changed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

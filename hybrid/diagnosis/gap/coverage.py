@@ -1,7 +1,5 @@
 """What recordings do not cover, and whether they suffice to name a cause."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Faulty samples of a recording: frozen, saturated, or beside a jump of torque."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The gap: measured torque less the torque that the simulator needs."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial

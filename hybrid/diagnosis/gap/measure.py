@@ -1,7 +1,5 @@
 """Measurement of the gap between logs and a simulator."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial

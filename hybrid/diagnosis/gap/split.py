@@ -1,7 +1,5 @@
 """Split of the samples into a training set and a test set."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation

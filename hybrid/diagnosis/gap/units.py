@@ -1,7 +1,5 @@
 """Units at revolute and at prismatic joints."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from hybrid.robot import Robot
