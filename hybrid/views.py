@@ -23,8 +23,7 @@ from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
 from hybrid.report.fit import held_out_table
 from hybrid.report.inspection import joints_table, write_inspection
-from hybrid.report.output import provenance
-from hybrid.report.page import Section
+from hybrid.report.output import Section, provenance
 from hybrid.report.servo import gap_table
 from hybrid.report.style import BEST, BLUE, GREY, PALE, clean, new_figure, stage_inks
 from hybrid.report.table import Table

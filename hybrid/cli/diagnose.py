@@ -141,11 +141,7 @@ def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> 
 
 
 def _simulator(args: Namespace) -> Robot | DynamicModel:
-    """Load the simulator or the model to compare with.
-
-    Raises:
-        HybridError: Neither a simulator nor a model is given, or both.
-    """
+    """Load the simulator or the model to compare with."""
     if (args.robot is None) == (args.baseline is None):
         raise HybridError("either --robot or --baseline says what to compare with")
     if args.baseline is None:

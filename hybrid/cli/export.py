@@ -86,11 +86,7 @@ def run(args: Namespace, screen: Screen) -> None:
 
 
 def _motions(args: Namespace, model: DynamicModel, screen: Screen) -> list[Motion]:
-    """Motions of ``--recordings``, if there are any.
-
-    Raises:
-        HybridError: The format has nothing that is fitted to them.
-    """
+    """Motions of ``--recordings``, if there are any."""
     if not args.recordings:
         return []
     if args.format not in _FITTED:
@@ -114,11 +110,7 @@ def _gap(
 
 
 def _with_file(model: DynamicModel, args: Namespace) -> DynamicModel:
-    """The model with its robot's file, as given or beside the model.
-
-    Raises:
-        HybridError: The file that was given is not there.
-    """
+    """The model with its robot's file, as given or beside the model."""
     if args.robot and not args.robot.is_file():
         raise HybridError(f"{args.robot}: no such robot file")
     args.inputs += [args.robot] if args.robot else []

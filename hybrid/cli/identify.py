@@ -123,11 +123,7 @@ def _show(fit: Fit, screen: Screen) -> None:
 def _save_servos(
     found: ServoFit, args: Namespace, how: dict[str, Any], screen: Screen
 ) -> None:
-    """Write the user's simulator with the servos found, and show them.
-
-    Raises:
-        HybridError: They replay unseen motion worse than the file's, as far as seen.
-    """
+    """Write the user's simulator with the servos found, if they replay no worse."""
     if found.after.mean() > found.before.mean() + found.floor.mean():
         raise HybridError(
             f"{found.robot.name}: servos found miss unseen motion by "

@@ -1,8 +1,15 @@
 """Results as pages, figures, tables and JSON. Nothing here prints."""
 
 from hybrid.report.fit import torque_figure
-from hybrid.report.output import figure_bytes, provenance, save_figure, write_results
-from hybrid.report.page import Section, render_page, write_page
+from hybrid.report.output import (
+    Section,
+    figure_bytes,
+    provenance,
+    render_page,
+    save_figure,
+    write_page,
+    write_results,
+)
 from hybrid.report.table import (
     Table,
     markdown_table,

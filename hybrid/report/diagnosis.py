@@ -18,8 +18,7 @@ from hybrid.report import diagnosis_text
 from hybrid.report.diagnosis_data import evidence_matrix, joint_curves, rms_table
 from hybrid.report.diagnosis_text import effect_name
 from hybrid.report.excitation import Postures
-from hybrid.report.output import provenance, write_results
-from hybrid.report.page import render_template
+from hybrid.report.output import provenance, render_template, write_results
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 

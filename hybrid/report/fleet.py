@@ -19,7 +19,7 @@ from hybrid.files import atomic_path
 from hybrid.fleets import Fleet, State
 from hybrid.fleets.changes import MONTH, Change
 from hybrid.names import figure_text, file_stems
-from hybrid.report.page import Section, write_page
+from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, RED, new_figure, panels
 from hybrid.report.table import Table
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.report.page import Section, write_page
+from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLACK, BLUE, PALE, RED, lines_figure
 from hybrid.report.table import Table
 from hybrid.servo.drive import QUANTITIES
