@@ -6,9 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from markupsafe import escape
@@ -78,15 +77,8 @@ def write_page(result: Any, path: str | Path) -> None:
     report.write_page(path, title, [found], provenance=provenance())
 
 
-@dataclass(frozen=True)
-class View:
-    """How a kind of result shows itself.
-
-    Attributes:
-        table: Makes its main table.
-        rows: Makes the rows of a data frame, in SI units.
-        draw: Draws it into axes.
-    """
+class View(NamedTuple):
+    """How a kind of result shows itself: a table, rows in SI units, and a picture."""
 
     table: Callable[[Any], Table]
     rows: Callable[[Any], list[dict[str, Any]]]

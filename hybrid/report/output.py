@@ -23,7 +23,6 @@ from hybrid.report.table import Table
 from hybrid.shown import plain
 
 if TYPE_CHECKING:
-    from markupsafe import Markup
     from matplotlib.figure import Figure
 
 _TEMPLATES = Path(__file__).parent / "pages"
@@ -128,7 +127,6 @@ class Section:
         table: A table.
         figure: A figure.
         caption: Caption of the figure, also for screen readers.
-        html: Markup, which must load nothing.
         command: Command that reproduces the section.
     """
 
@@ -137,7 +135,6 @@ class Section:
     table: Table | None = None
     figure: Figure | None = None
     caption: str = ""
-    html: Markup | None = None
     command: str = ""
 
     @property
