@@ -35,7 +35,7 @@ from hybrid import Robot, read_recordings
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.gap.split import split, unseen_samples
+from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import provenance, save_figure, terminal_table, write_results

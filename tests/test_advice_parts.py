@@ -39,7 +39,7 @@ from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import simulated_torque
-from hybrid.diagnosis.gap.split import split
+from hybrid.diagnosis.gap.measure import split
 from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay

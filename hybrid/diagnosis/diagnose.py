@@ -33,9 +33,8 @@ from hybrid.diagnosis.gap.coverage import (
     too_little_motion,
     wrong_simulator,
 )
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.split import split
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.measure import split
 from hybrid.effects.delay import Delay
 from hybrid.identification.preparation import checked_logs
 from hybrid.model import DynamicModel

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.result import Result
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report import diagnosis_text

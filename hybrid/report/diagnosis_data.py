@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.explanations.explanation import Explanation
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import units
 from hybrid.effects import Effect
 from hybrid.report.style import extremes
 

@@ -76,7 +76,7 @@ class Postures:
 
 
 def motion_figure(
-    reference: Reference, joints: Sequence[str], limits: Limits | None = None
+    reference: Reference, joints: Sequence[str], limits: Limits
 ) -> Figure:
     """Draw position and speed of every joint, with its limits."""
     rows = {
@@ -84,14 +84,11 @@ def motion_figure(
         "speed\n[rad/s]": [("", reference.v, OTHERS[0], 1.0)],
     }
     figure, cells = lines_figure(reference.t, joints, rows, 2.1, ratios=(1.4, 1.0))
-    for j, (above, below) in enumerate(cells) if limits is not None else ():
-        for axes, level in (
-            (above, limits.low[j]),
-            (above, limits.high[j]),
-            (below, -limits.speed[j]),
-            (below, limits.speed[j]),
-        ):
-            axes.axhline(level, color=RED, linewidth=0.8, linestyle=":")
+    bounds = (limits.low, limits.high), (-limits.speed, limits.speed)
+    for j, cell in enumerate(cells):
+        for axes, pair in zip(cell, bounds, strict=True):
+            for level in pair:
+                axes.axhline(level[j], color=RED, linewidth=0.8, linestyle=":")
     return figure
 
 

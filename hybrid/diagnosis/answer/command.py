@@ -22,10 +22,9 @@ from hybrid.diagnosis.explanations.servo_fit import (
     hidden_damping,
     log_likelihood_ratio,
 )
-from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
-from hybrid.diagnosis.gap.split import split, unseen_samples
-from hybrid.diagnosis.gap.units import units
 from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain

@@ -11,8 +11,7 @@ from hybrid.diagnosis.answer.intervals import NORMAL, shrunk
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.units import unit_at, units
+from hybrid.diagnosis.gap.gap import Gap, unit_at, units
 from hybrid.effects import Effect, effect_class
 
 _LEAST_CHANGE = 0.05  # of the largest change at a joint

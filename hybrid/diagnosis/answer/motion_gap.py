@@ -11,7 +11,7 @@ from hybrid.diagnosis.answer.findings import changed_joints
 from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import units
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
 from hybrid.progress import Progress

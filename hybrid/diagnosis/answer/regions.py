@@ -16,8 +16,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Region
 from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import Gap, units
 
 TORQUE_TO_MOTION = "torque to motion"
 

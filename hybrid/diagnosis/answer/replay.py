@@ -18,7 +18,7 @@ from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.faults import stretches
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.split import split, unseen_samples
+from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.regression.problem import part

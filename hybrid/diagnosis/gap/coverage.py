@@ -5,8 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import Gap, units
 from hybrid.identification.preparation import STANDING
 
 _STILL = 0.005  # rad; range of a joint at rest, by noise and servo
