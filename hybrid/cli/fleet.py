@@ -8,6 +8,7 @@ from hybrid.cli.shared.screen import Screen
 from hybrid.fleets import fleet
 from hybrid.fleets.plan import read_plan
 from hybrid.report.fleet import fleet_tables, lead_sentence, write_fleet_pages
+from hybrid.robot.library import robot_file
 
 HELP = """\
 PLAN is a YAML file: robot, arms (a folder with one folder of logs for each arm, or a
@@ -31,7 +32,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("plan", type=Path, metavar="PLAN", help="YAML file, or folder")
     parser.add_argument(
         "--robot",
-        type=options.robot_file,
+        type=robot_file,
         metavar="FILE",
         help="the arms, if PLAN is a folder",
     )

@@ -122,7 +122,7 @@ def lines_figure(
                 k = extremes([x[:, j]], _MOST_POINTS)
                 axes.plot(t[k], x[k, j], color=ink, linewidth=width, label=name)
             axes.set_ylabel(label)
-    named = [line for axes in cells[0] for line in axes.get_lines() if line.get_label()]
+    named = [x for axes in cells[0] for x in axes.get_legend_handles_labels()[0]]
     if named:
         legend(figure, named)
     return figure, cells
