@@ -119,23 +119,14 @@ def _version(name: str) -> str:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page; every part but the title is optional.
-
-    Attributes:
-        title: Heading.
-        text: Paragraphs, separated by empty lines; not markup.
-        table: A table.
-        figure: A figure.
-        caption: Caption of the figure, also for screen readers.
-        command: Command that reproduces the section.
-    """
+    """A section of a page; every part but the title is optional."""
 
     title: str
-    text: str = ""
+    text: str = ""  # paragraphs, separated by empty lines; not markup
     table: Table | None = None
     figure: Figure | None = None
-    caption: str = ""
-    command: str = ""
+    caption: str = ""  # caption of the figure, also for screen readers
+    command: str = ""  # command that reproduces the section
 
     @property
     def paragraphs(self) -> list[str]:

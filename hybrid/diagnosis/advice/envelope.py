@@ -22,16 +22,11 @@ _TRIES = 12
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """80 % of the limits in a robot file, and the clearance of its links.
-
-    Attributes:
-        robot: The arm.
-        limits: The limits.
-        clearance: Clearance of 1 cm between links; None if the file has no geometry.
-    """
+    """80 % of the limits in a robot file, and the clearance of its links."""
 
     robot: Robot
     limits: Limits
+    # Clearance of 1 cm between links; None if the file has no geometry.
     clearance: Clearance | None
 
     @classmethod

@@ -37,21 +37,13 @@ _PAYLOADS = (0.5, 0.25, 0.125)  # times the median mass of a link
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A motion to run, with its conditions.
+    """A motion to run, with its conditions."""
 
-    Attributes:
-        name: Name, as it follows the word "run".
-        reference: The motion.
-        start: Time since the drives were switched on, [s].
-        mass: Payload at the centre of mass of the last link, [kg].
-        gains: Whether to run it with other servo gains as well.
-    """
-
-    name: str
+    name: str  # as it follows the word "run"
     reference: Reference
-    start: float = 0.0
-    mass: float = 0.0
-    gains: bool = False
+    start: float = 0.0  # time since the drives were switched on, [s]
+    mass: float = 0.0  # payload at the centre of mass of the last link, [kg]
+    gains: bool = False  # whether to run it with other servo gains as well
 
     @property
     def plain(self) -> bool:

@@ -24,16 +24,11 @@ MODEL = "model.json"
 
 @dataclass(frozen=True)
 class Fixed:
-    """Files of a corrected simulator.
+    """Files of a corrected simulator."""
 
-    Attributes:
-        simulator: MJCF file.
-        model: Torque model with all findings.
-        notes: Findings that MJCF expresses only approximately, or not at all.
-    """
-
-    simulator: Path
-    model: Path
+    simulator: Path  # MJCF file
+    model: Path  # torque model with all findings
+    # Findings that MJCF expresses only approximately, or not at all.
     notes: tuple[str, ...]
 
 

@@ -23,9 +23,6 @@ class Baseline:
 
     The model's friction, ripple and remainder are subtracted. The torque of its links
     and of all that has changed is left.
-
-    Attributes:
-        model: The model of the healthy arm.
     """
 
     model: DynamicModel
