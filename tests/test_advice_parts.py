@@ -19,8 +19,8 @@ from hybrid.diagnosis.advice.advise import (
     _placed,
     choose,
 )
-from hybrid.diagnosis.advice.envelope import Envelope
 from hybrid.diagnosis.advice.menu import (
+    Envelope,
     Experiment,
     Menu,
     concatenated,

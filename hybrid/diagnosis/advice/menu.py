@@ -1,20 +1,26 @@
 """Experiments that an arm can run safely, as reference motions within its limits."""
 
+import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Self
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.advice.envelope import Envelope
 from hybrid.diagnosis.gap.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
-from hybrid.errors import HybridError
+from hybrid.errors import ExcitationError, HybridError, HybridWarning, RobotError
+from hybrid.excitation.clearance import Clearance
+from hybrid.excitation.constraints import Limits
 from hybrid.excitation.experiments import (
     at_speeds,
+    checked,
     micro_reversals,
     multisine,
+    path_from_reference,
     speed_ladder,
     static_poses,
 )
@@ -24,6 +30,8 @@ from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 
+_SAME_POSTURE = 0.01  # rad or m
+_TRIES = 12
 _EDGE = 0.2  # s, at both ends of a motion: transient of the filter
 _CUTOFF = 30.0  # Hz, highest; experiments are slower
 _SAMPLES = 5.0  # per period of the cut-off
@@ -33,6 +41,58 @@ _SMALLER = 0.85  # amplitude of a try over that of the last
 _WARM_UP = 1200.0  # s
 _WARM_RISE = 20.0  # K, of the temperature of a drive
 _PAYLOADS = (0.5, 0.25, 0.125)  # times the median mass of a link
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """80 % of the limits in a robot file, and the clearance of its links."""
+
+    robot: Robot
+    limits: Limits
+    # Clearance of 1 cm between links; None if the file has no geometry.
+    clearance: Clearance | None
+
+    @classmethod
+    def of(cls, robot: Robot) -> Self:
+        """Make the envelope of a robot."""
+        limits, clearance = Limits.of(robot), None
+        with warnings.catch_warnings(), suppress(RobotError):  # no geometry
+            # Links that touch in most postures are left out.
+            warnings.simplefilter("ignore", HybridWarning)
+            clearance = Clearance.of(robot, limits)
+        return cls(robot, limits, clearance)
+
+    def first_safe(
+        self, make: Callable[[int], Reference], robot: Robot | None = None
+    ) -> Reference:
+        """The first safe motion of tries from 0 on, of an arm that may have a payload.
+
+        Raises:
+            ExcitationError: No try is safe.
+        """
+        for k in range(_TRIES):
+            try:
+                return self.checked(make(k), robot)
+            except ExcitationError as error:
+                failed = error
+        raise failed
+
+    def checked(self, reference: Reference, robot: Robot | None = None) -> Reference:
+        """The reference, if it is safe for the arm, which may have a payload.
+
+        Raises:
+            ExcitationError: A limit is exceeded, or two links come too close.
+        """
+        checked(robot or self.robot, reference, self.limits)
+        if self.clearance is None or not len(self.clearance.pairs):
+            return reference
+        postures = np.round(reference.q / _SAME_POSTURE)
+        _, first = np.unique(postures, axis=0, return_index=True)
+        worst = self.clearance.excess(path_from_reference(reference).at(first))
+        if (worst > 0).any():
+            name = self.clearance.names[int(worst.max(axis=0).argmax())]
+            raise ExcitationError(f"{name}; valid is a motion with more room")
+        return reference
 
 
 @dataclass(frozen=True, eq=False)

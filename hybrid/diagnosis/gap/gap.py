@@ -36,7 +36,7 @@ class Gap:
 
     robot: Robot  # the simulator that is diagnosed
     # Motions with the simulated torque, of about twelve samples in a period of the
-    # cut-off or the rate of the log. Columns of the measured one would explain its noise.
+    # cut-off or the rate of the log. Columns of the measured one explain its noise.
     motions: tuple[Motion, ...]
     bodies: tuple[RigidBody, ...]  # the simulator's rigid body along each motion
     cutoff: float  # cut-off of the low-pass filter, [Hz]
