@@ -84,12 +84,7 @@ def run(args: Namespace, screen: Screen) -> None:
 def _tracked(
     tracker: OnlineIdentifier, recording: Recording
 ) -> tuple[list[Array], list[dict[str, float]], list[int]]:
-    """Give all samples to a tracker.
-
-    Returns:
-        Rows of time, parameters and errors, changes with their masses, and the time of
-        each update, [ns].
-    """
+    """Rows of time, parameters and errors; changes with masses; update times, [ns]."""
     every = max(1, round(recording.rate / _PER_SECOND))
     rows: list[Array] = []
     changes: list[dict[str, float]] = []

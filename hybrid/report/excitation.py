@@ -48,12 +48,7 @@ class Postures:
 
     @classmethod
     def of(cls, robot: Robot, q: Array) -> Postures:
-        """Compute the postures of an arm.
-
-        Args:
-            robot: The arm.
-            q: Positions, shape (K, n), [rad or m].
-        """
+        """The postures of an arm at positions q, shape (K, n), [rad or m]."""
         origins = frames(robot.chain, q)[1].transpose(1, 0, 2)
         joints = np.concatenate([np.zeros((len(q), 1, 3)), origins], axis=1)
         try:

@@ -86,13 +86,8 @@ def write_results(path: str | Path, content: Mapping[str, Any]) -> None:
 def provenance(**given: Any) -> dict[str, Any]:
     """Versions of this package, of Python and of every core dependency.
 
-    There is no date, host or path, so that the same run gives the same record.
-
-    Args:
-        **given: Other inputs: seeds, hashes of files, the command.
-
-    Returns:
-        JSON-ready content; ``given`` comes first.
+    There is no date, host or path, so that the same run gives the same record. What is
+    ``given``, as seeds, hashes of files or the command, comes first.
     """
     return {
         **given,

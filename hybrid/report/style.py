@@ -66,7 +66,7 @@ def panels(
     label: str = "time [s]",
     size: float = 9,
 ) -> tuple[Figure, list[list[Axes]]]:
-    """A figure of panels in two columns, usually one panel per joint.
+    """A figure of panels in two columns, usually one per joint, and the axes of each.
 
     Args:
         titles: Title of each panel.
@@ -74,9 +74,6 @@ def panels(
         ratios: Heights of the axes in a panel, from top to bottom.
         label: Label of the horizontal axis, below each column.
         size: Size of the titles, in [point].
-
-    Returns:
-        The figure, and the axes of each panel.
     """
     columns = min(2, len(titles))
     rows = -(-len(titles) // columns)

@@ -53,12 +53,10 @@ class Scene:
                 yield kind, name, x
 
     def poses(self, name: str) -> tuple[Array, Array]:
-        """Quaternions (x, y, z, w) and origins of all links in the base frame.
+        """Quaternions (x, y, z, w), (n, N, 4), and origins of links, (n, N, 3), [m].
 
-        Where a simulator was not replayed, the measured position is taken.
-
-        Returns:
-            Shapes (n, N, 4) and (n, N, 3), [m].
+        They are in the base frame. Where a simulator was not replayed, the measured
+        position is taken.
         """
         q = self.q[name]
         q = np.where(np.isnan(q), self.q[_MEASURED], q)

@@ -116,11 +116,8 @@ def read_logs(
 ) -> list[Recording]:
     """Read the logs of ``--recordings`` or ``--recording``.
 
-    Args:
-        args: Parsed arguments.
-        screen: Shows the progress.
-        joints: Joint names of the robot, base to tip; None if not known.
-        torque: Refuse a log without torque.
+    ``joints`` are those of the robot, base to tip, if known; with ``torque`` a log
+    without it is refused.
     """
     one = getattr(args, "recording", None)
     with screen.working("reading recordings") as tell:

@@ -53,11 +53,8 @@ class Screen:
     def working(self, text: str) -> Iterator[Progress]:
         """Show what is being done, for how long, and how long it will take.
 
-        A terminal shows one line that changes. Elsewhere each step is a line, but for
-        steps of less than a second.
-
-        Yields:
-            A function that receives each step.
+        A terminal shows one line that changes. Elsewhere each step that takes more than
+        a second is a line. The function that is yielded receives each step.
         """
         description = TextColumn("{task.description}", markup=False)
         is_terminal, start = self._err.is_terminal, monotonic()
