@@ -118,10 +118,7 @@ class Experiment:
 class Menu:
     """Experiments with an arm that its limits and its links allow.
 
-    Args:
-        robot: The arm.
-        rng: Random generator of motions.
-        rate: Samples per second of the references, [Hz].
+    Their references have ``rate`` samples per second.
     """
 
     def __init__(self, robot: Robot, rng: np.random.Generator, *, rate: float) -> None:

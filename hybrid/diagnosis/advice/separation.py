@@ -8,8 +8,6 @@ expected evidence of the new motion.
 Source: Atkinson and Fedorov 1975, doi 10.1093/biomet/62.1.57 (T-optimality).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -170,6 +168,30 @@ def tried_shapes(search: Search) -> list[Candidate]:
     return tried
 
 
+class _Data:
+    """Torque y in units of noise, (R,) at each joint, and shared columns X, (R, s)."""
+
+    def __init__(self, X: Sequence[Array], y: Sequence[Array]) -> None:
+        self._X, self._y = X, y
+        gram = np.sum([x.T @ x for x in X], axis=0)
+        self._factor = cho_factor(np.eye(len(gram)) + gram)
+        moment = np.sum([x.T @ t for x, t in zip(X, y, strict=True)], axis=0)
+        self._gains = cho_solve(self._factor, moment)
+
+    def evidence(self, columns: Columns, c: Candidate) -> tuple[float, Array]:
+        """Log evidence of a candidate's columns, [nat], and their gains, (p,)."""
+        p = len(c.std)
+        across, H, s = np.zeros((len(self._gains), p)), np.zeros((p, p)), np.zeros(p)
+        for i, x in columns.items():
+            across += self._X[i].T @ x
+            H += x.T @ x
+            s += x.T @ self._y[i]
+        H -= across.T @ cho_solve(self._factor, across)
+        s -= across.T @ self._gains
+        gain, gains, _ = heavy_tailed(H, s, c.std**-2.0, c.lower)
+        return float(gain) - price(c.effect), gains
+
+
 class Discrimination:
     """Discrimination between rivals by recordings together with a new motion.
 
@@ -265,30 +287,6 @@ class Discrimination:
     def _evidence_at(self, data: _Data, c: Candidate) -> tuple[float, Array]:
         """Evidence of a candidate at its shapes, [nat], and its gains (p,)."""
         return data.evidence(_appended([p.columns(c.effect) for p in self._parts]), c)
-
-
-class _Data:
-    """Torque y in units of noise, (R,) at each joint, and shared columns X, (R, s)."""
-
-    def __init__(self, X: Sequence[Array], y: Sequence[Array]) -> None:
-        self._X, self._y = X, y
-        gram = np.sum([x.T @ x for x in X], axis=0)
-        self._factor = cho_factor(np.eye(len(gram)) + gram)
-        moment = np.sum([x.T @ t for x, t in zip(X, y, strict=True)], axis=0)
-        self._gains = cho_solve(self._factor, moment)
-
-    def evidence(self, columns: Columns, c: Candidate) -> tuple[float, Array]:
-        """Log evidence of a candidate's columns, [nat], and their gains, (p,)."""
-        p = len(c.std)
-        across, H, s = np.zeros((len(self._gains), p)), np.zeros((p, p)), np.zeros(p)
-        for i, x in columns.items():
-            across += self._X[i].T @ x
-            H += x.T @ x
-            s += x.T @ self._y[i]
-        H -= across.T @ cho_solve(self._factor, across)
-        s -= across.T @ self._gains
-        gain, gains, _ = heavy_tailed(H, s, c.std**-2.0, c.lower)
-        return float(gain) - price(c.effect), gains
 
 
 def required_evidence(evidence: float) -> float:

@@ -35,9 +35,6 @@ _LARGEST_ERROR = np.pi  # rad; larger motion errors count as this one
 class Replay:
     """Windows of held-out motions, and simulations along them.
 
-    Args:
-        scored: The explanation.
-
     Attributes:
         scored: The explanation.
         effects: Its terms as effects, with the gains that were scored.

@@ -1,12 +1,11 @@
 """The laws of a joint's servo, and its command, motion and torque."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,12 +108,12 @@ class ServoLog:
         return np.stack([A.T @ A for A in signals])
 
     @cached_property
-    def thin(self) -> ServoLog:
+    def thin(self) -> Self:
         """A subset of the samples, to find an initial guess."""
         k = max(1, len(self.row) // _ENOUGH)
         return replace(self, row=self.row[::k], t=self.t[::k], own=self.own[::k])
 
-    def only(self, use: NDArray[np.bool_]) -> ServoLog:
+    def only(self, use: NDArray[np.bool_]) -> Self:
         """The samples of a mask over the gap's, shape (all,)."""
         k = use[self.row]
         return replace(self, row=self.row[k], t=self.t[k], own=self.own[k])
