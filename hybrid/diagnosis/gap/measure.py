@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import maximum_filter1d
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.faults import Faults, find_faults
@@ -156,7 +156,7 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
 
 def _around(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """Flags, shape (M, k), widened by a number of samples to both sides."""
-    return np.asarray(binary_dilation(flags, np.ones((2 * reach + 1, 1), dtype=bool)))
+    return np.asarray(maximum_filter1d(flags, 2 * reach + 1, axis=0, mode="constant"))
 
 
 def block_seconds(motions: Sequence[Motion]) -> float:
@@ -212,4 +212,4 @@ def unseen_samples(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if gap.trajectory.max() >= 3:
         return ~learn
     reach = round(block_seconds(gap.motions) / 6 * gap.rate)
-    return np.asarray(~binary_dilation(learn, np.ones(2 * reach + 1, dtype=bool)))
+    return np.asarray(~maximum_filter1d(learn, 2 * reach + 1, mode="constant"))
