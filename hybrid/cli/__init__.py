@@ -9,6 +9,7 @@ import sys
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Collection, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 from hybrid import __version__
@@ -124,8 +125,27 @@ def build_parser(known: Collection[str] = tuple(_VERBS)) -> Parser:
             module = import_module(f"hybrid.cli.{name}")
             verb.epilog = module.HELP
             module.add_arguments(verb)
+            _add_common(verb)
             verb.set_defaults(run=module.run, verb=name, parser=verb)
     return parser
+
+
+def _add_common(parser: ArgumentParser) -> None:
+    """Add ``--effects-from`` and ``--json``."""
+    parser.add_argument(
+        "--effects-from",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.py",
+        help="load effects of your own from a Python file; may be repeated",
+    )
+    parser.add_argument(
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help="write the results, and how they came about, for other programs",
+    )
 
 
 def _parsed(argv: Sequence[str]) -> Namespace:

@@ -80,7 +80,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="plain least squares over all measurements",
     )
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -29,7 +29,6 @@ example:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("--out", type=Path, default=Path("hybrid-demo"), metavar="DIR")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -71,7 +71,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         "for Rerun or .mcap for Foxglove; may be repeated",
     )
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -38,7 +38,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("effect", nargs="?", metavar="EFFECT", help="one of them")
     options.add_robot(parser, required=False, more=", to show sizes for")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

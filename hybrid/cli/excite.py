@@ -70,7 +70,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     _add_motion(parser)
-    options.add_common(parser)
 
 
 def _add_motion(parser: ArgumentParser) -> None:

@@ -59,7 +59,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     options.add_recordings(parser, required=False)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -48,7 +48,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="N",
         help="processes here (default: one a core)",
     )
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -70,7 +70,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     servos.add_arguments(parser)
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -40,7 +40,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--page", type=Path, metavar="FILE.html", help="write all of it, with a picture"
     )
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -39,7 +39,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--format", choices=("csv", "parquet", "npz"), default="csv")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -42,7 +42,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FILE")
     words = "relative standard deviation of the model's parameters (default: 0.05)"
     options.add_number(parser, "--prior", "SHARE", words, 0.05)
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -28,7 +28,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
     options.add_recordings(parser)
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -133,24 +133,6 @@ def read_logs(
     return found
 
 
-def add_common(parser: ArgumentParser) -> None:
-    """Add ``--effects-from`` and ``--json``."""
-    parser.add_argument(
-        "--effects-from",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE.py",
-        help="load effects of your own from a Python file; may be repeated",
-    )
-    parser.add_argument(
-        "--json",
-        type=Path,
-        metavar="FILE",
-        help="write the results, and how they came about, for other programs",
-    )
-
-
 def names(text: str) -> tuple[str, ...]:
     """Names between commas."""
     found = tuple(name.strip() for name in text.split(","))
