@@ -31,7 +31,7 @@ from hybrid.online import OnlineIdentifier, Sample
 from hybrid.plant import Noise, load_truth, random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
-from hybrid.report import numbers_table, provenance, write_results
+from hybrid.report import provenance, terminal_table, write_results
 from hybrid.report.table import Table, markdown_table
 from hybrid.robot import Robot
 
@@ -211,7 +211,7 @@ def main() -> None:
         ("change by 1 h of standstill [standard deviations]", f"{standstill():.1g}")
     )
     table = Table(("online identification, six axes", ""), tuple(rows))
-    Console(width=110).print(numbers_table(table))
+    Console(width=110).print(terminal_table(table))
     command = (
         f"python benchmarks/online.py --hours {args.hours:g} --minutes {args.minutes}"
     )

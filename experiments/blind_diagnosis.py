@@ -18,7 +18,7 @@ from blind.tables import by_robot, targets_table, write_benchmark
 from outputs import command_line
 from rich.console import Console
 
-from hybrid.report import numbers_table, provenance
+from hybrid.report import provenance, terminal_table
 
 ROOT = Path(__file__).parents[1]
 LOG = ROOT / "build" / "blind_diagnosis.jsonl"
@@ -60,7 +60,7 @@ def main() -> None:
         f"python experiments/blind_diagnosis.py --cases {args.cases} --seed {args.seed}"
     )
     write_benchmark(rows, args.out, tuned=TUNED, how=provenance(command=command))
-    console.print(numbers_table(targets_table(by_robot(rows, TUNED))))
+    console.print(terminal_table(targets_table(by_robot(rows, TUNED))))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from rich.console import Console
 from hybrid.calibration import calibrate
 from hybrid.calibration.calibrate import Calibration
 from hybrid.files import atomic_path
-from hybrid.report import numbers_table, provenance, write_results
+from hybrid.report import provenance, terminal_table, write_results
 from hybrid.report.table import Table, markdown_table
 from hybrid.robot import Robot
 
@@ -79,7 +79,7 @@ def main() -> None:
     lines = [(a, b, *(f"{x:.1f} %" for x in shares)) for a, b, shares in rows]
     header = ("measured", "errors", "within 95 % interval", "if independent")
     table = Table(header, tuple(lines), f"{robot.name}, {args.poses} poses")
-    Console(width=100, highlight=False).print(numbers_table(table))
+    Console(width=100, highlight=False).print(terminal_table(table))
     command = f"python experiments/calibration_intervals.py --arm {args.arm} "
     command += f"--poses {args.poses} --seeds {args.seeds}"
     with atomic_path(args.out / "table.md") as path:

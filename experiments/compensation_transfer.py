@@ -27,7 +27,7 @@ from rich.console import Console
 from hybrid import identify, simulate, validate
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
-from hybrid.report import markdown_table, numbers_table, provenance, save_figure
+from hybrid.report import markdown_table, provenance, save_figure, terminal_table
 from hybrid.report import write_results as write
 from hybrid.signals import motion_from_recording
 
@@ -84,7 +84,7 @@ def main() -> None:
     with atomic_path(args.out / "table.md") as path:
         text = f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n"
         path.write_text(text)
-    console.print(numbers_table(table))
+    console.print(terminal_table(table))
 
 
 if __name__ == "__main__":

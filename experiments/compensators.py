@@ -26,7 +26,7 @@ from rich.console import Console
 from hybrid import identify
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
-from hybrid.report import Table, markdown_table, numbers_table, provenance
+from hybrid.report import Table, markdown_table, provenance, terminal_table
 from hybrid.report import write_results as write
 
 JOINTS = (0, 2, 3)
@@ -72,7 +72,7 @@ def main() -> None:
                 ]
                 rows.append(score(learn, *both))
             found.append(rows)
-    console.print(numbers_table(report(args.out, np.array(found), command, count)))
+    console.print(terminal_table(report(args.out, np.array(found), command, count)))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from designed_coman import compare, designed_run
 from outputs import command_line
 from rich.console import Console
 
-from hybrid.report import numbers_table, provenance, table_from_validation
+from hybrid.report import provenance, table_from_validation, terminal_table
 
 SEED = 0
 console = Console(highlight=False)
@@ -53,7 +53,7 @@ def main() -> None:
     console.print()
     # A pipe has no width; the table needs one.
     wide = Console(width=max(console.width, 100), highlight=False)
-    wide.print(numbers_table(table_from_validation(validation)))
+    wide.print(terminal_table(table_from_validation(validation)))
     counts = ", ".join(map(str, chain.components))
     console.print(f"Mixtures of the published chain: {counts} components by BIC.")
     for text in fit.left_out:

@@ -21,7 +21,7 @@ from outputs import command_line
 from rich.console import Console
 
 from hybrid.files import atomic_path
-from hybrid.report import markdown_table, numbers_table, provenance, write_results
+from hybrid.report import markdown_table, provenance, terminal_table, write_results
 
 
 def main() -> None:
@@ -33,7 +33,7 @@ def main() -> None:
     cases = [(k, quiet) for quiet in (False, True) for k in JOINTS]
     runs = [run(k, s, quiet) for k, quiet in cases for s in range(seeds)]
     shown, text = table(runs), "\n".join(f"- {line}" for line in summary(runs))
-    Console(width=140).print(numbers_table(shown), text, highlight=False)
+    Console(width=140).print(terminal_table(shown), text, highlight=False)
     command = f"python experiments/diagnosis_acceptance.py --seeds {seeds}"
     with atomic_path(args.out / "table.md") as path:
         path.write_text(

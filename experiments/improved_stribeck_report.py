@@ -13,7 +13,7 @@ from joint_friction_logs import NAMES
 from rich.console import Console
 
 from hybrid.files import atomic_path
-from hybrid.report import numbers_table, provenance, save_figure, write_results
+from hybrid.report import provenance, save_figure, terminal_table, write_results
 from hybrid.report.table import Table, markdown_table
 
 PUBLISHED = {  # % of the error of the computed joint torque removed, joints 1–3
@@ -109,7 +109,7 @@ def write_report(
     texts = [f"{t.caption}.\n\n{markdown_table(t)}" for t in tables]
     texts.insert(2, _main_result(joints))
     for table in tables:
-        console.print(numbers_table(table))
+        console.print(terminal_table(table))
     console.print(texts[2])
     save_figure(way_down(joints), out / "figure.png")
     with atomic_path(out / "table.md") as path:

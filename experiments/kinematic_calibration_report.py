@@ -13,7 +13,7 @@ from rich.console import Console
 from hybrid.calibration import Measurements
 from hybrid.calibration.solve import KinematicSolution
 from hybrid.files import atomic_path
-from hybrid.report import numbers_table, provenance, save_figure, write_results
+from hybrid.report import provenance, save_figure, terminal_table, write_results
 from hybrid.report.table import markdown_table
 
 
@@ -37,7 +37,7 @@ def write_report(
     )
     command = f"python experiments/kinematic_calibration.py {options}"
     for table in tables:
-        Console(width=140, highlight=False).print(numbers_table(table))
+        Console(width=140, highlight=False).print(terminal_table(table))
     text = "\n".join(f"{x.caption}\n\n{markdown_table(x)}" for x in tables)
     with atomic_path(out / "table.md") as temporary:
         temporary.write_text(f"{text}\n{note}\n    {command}\n", encoding="utf-8")

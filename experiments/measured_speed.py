@@ -27,8 +27,8 @@ from hybrid.files import atomic_path
 from hybrid.report import (
     Table,
     markdown_table,
-    numbers_table,
     provenance,
+    terminal_table,
     write_results,
 )
 
@@ -64,7 +64,7 @@ def main() -> None:
     if args.data:
         tables.append(arms_table(args.data))
     for table in tables:
-        Console(width=150).print(numbers_table(table))
+        Console(width=150).print(terminal_table(table))
     command = f"python experiments/measured_speed.py --seeds {args.seeds}"
     command += " --data DATA_FOLDER" if args.data else ""
     text = "\n".join(f"{x.caption}.\n\n{markdown_table(x)}" for x in tables)

@@ -35,8 +35,8 @@ from hybrid.plant import random_fourier
 from hybrid.report import (
     Table,
     markdown_table,
-    numbers_table,
     provenance,
+    terminal_table,
     write_results,
 )
 from hybrid.robot import Robot
@@ -176,7 +176,7 @@ def write_report(
     folder: Path, table: Table, summary: str, command: str, runs: Sequence[Any]
 ) -> None:
     """Print a table with its summary, and write it with all runs."""
-    Console(width=200).print(numbers_table(table), summary, highlight=False)
+    Console(width=200).print(terminal_table(table), summary, highlight=False)
     with atomic_path(folder / "table.md") as path:
         path.write_text(
             f"{table.caption}.\n\n{markdown_table(table)}\n{summary}\n\n    {command}\n"

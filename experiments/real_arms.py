@@ -30,9 +30,9 @@ from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import (
     markdown_table,
-    numbers_table,
     provenance,
     save_figure,
+    terminal_table,
     write_results,
 )
 from hybrid.signals import motion_from_recording
@@ -71,7 +71,7 @@ def main() -> None:
             found.append(score)
             console.print(score.said(), highlight=False)
         table = arm_table(found)
-        console.print(numbers_table(table))
+        console.print(terminal_table(table))
         text += f"{table.caption}.\n\n{markdown_table(table)}\n"
         text += "".join(f"- {x.said()}\n" for x in found) + "\n"
         scores += found

@@ -35,10 +35,10 @@ from hybrid import Robot, read_recordings
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
-from hybrid.diagnosis.gap.split import split, unseen_samples
+from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
-from hybrid.report import numbers_table, provenance, save_figure, write_results
+from hybrid.report import provenance, save_figure, terminal_table, write_results
 
 COMMAND = "python experiments/real_arms_diagnosis.py DATA_FOLDER"
 
@@ -68,7 +68,7 @@ def main() -> None:
     for arm in ARMS:
         score = measure(arm, args.data)
         console.print(said(score), highlight=False, markup=False)
-        console.print(numbers_table(gap_table(score)))
+        console.print(terminal_table(gap_table(score)))
         text += in_words(score)
         content["arms"][arm.name] = score.as_dict()
         save_figure(gap_figure(score), args.out / f"diagnosis_{arm.name.lower()}.png")

@@ -29,7 +29,7 @@ from hybrid.errors import HybridWarning
 from hybrid.exports import missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque, gaps
 from hybrid.files import atomic_path
-from hybrid.report import markdown_table, numbers_table, provenance, write_results
+from hybrid.report import markdown_table, provenance, terminal_table, write_results
 from hybrid.report.table import Table
 
 TABLE = (
@@ -100,7 +100,7 @@ def main() -> None:
         print(*rows[-1], flush=True)
     header, caption, stem = DIAGNOSED if args.diagnose else TABLE
     table = Table(header, tuple(rows), caption)
-    Console(width=130).print(numbers_table(table))
+    Console(width=130).print(terminal_table(table))
     command = "python experiments/round_trip.py --data DATA_FOLDER"
     command += " --diagnose" * args.diagnose
     with atomic_path(args.out / f"{stem}.md") as path:

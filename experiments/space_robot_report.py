@@ -14,7 +14,7 @@ from space_robot_variances import variances_table
 
 from hybrid.arrays import Array
 from hybrid.files import atomic_path
-from hybrid.report import markdown_table, numbers_table, provenance, save_figure
+from hybrid.report import markdown_table, provenance, save_figure, terminal_table
 from hybrid.report.output import write_results
 from hybrid.report.style import BLUE, GREY, OTHERS, RED, clean, legend, new_figure
 from hybrid.report.table import Table
@@ -94,7 +94,7 @@ def write_report(
     header = ("", *NAMES, "mean error of α, β, ε", "seconds per sample")
     table = Table(header, tuple(rows), caption)
     tables = [table, variances_table(runs)]
-    Console(width=210).print(*map(numbers_table, tables))
+    Console(width=210).print(*map(terminal_table, tables))
     command = f"python experiments/space_robot_online.py {options}"
     with atomic_path(out / "table.md") as path:
         text = "\n".join(f"{x.caption}.\n\n{markdown_table(x)}" for x in tables)

@@ -24,9 +24,9 @@ from study import Study
 from hybrid.files import atomic_path
 from hybrid.report import (
     markdown_table,
-    numbers_table,
     provenance,
     save_figure,
+    terminal_table,
     write_results,
 )
 
@@ -67,7 +67,7 @@ def main() -> None:
         said = " → ".join(f"{name} {mean:.3f}" for name, mean in means.items())
         console.print(f"seed {seed}: {said}", highlight=False)
         write(options.out, runs)
-    console.print(numbers_table(Study.of(runs, PUBLISHED).table()))
+    console.print(terminal_table(Study.of(runs, PUBLISHED).table()))
 
 
 def write(folder: Path, runs: list[dict[str, Any]]) -> None:

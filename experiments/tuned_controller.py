@@ -46,7 +46,7 @@ from hybrid.plant import Plant
 from hybrid.plant.joint_fields import curves
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.scale import joint_scales
-from hybrid.report import markdown_table, numbers_table, provenance, write_results
+from hybrid.report import markdown_table, provenance, terminal_table, write_results
 from hybrid.robot.chain import Chain
 
 TRUTH = "payload,armature,stribeck,nonlinear_viscous,load_friction,torque_ripple"
@@ -124,7 +124,7 @@ def main() -> None:
         path.write_text(text, encoding="utf-8")
     content = {"provenance": provenance(command=command), "runs": runs}
     write_results(args.out / "results.json", content)
-    console.print(numbers_table(table))
+    console.print(terminal_table(table))
 
 
 if __name__ == "__main__":

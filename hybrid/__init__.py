@@ -9,68 +9,38 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from hybrid.shown import Shown
-
 if TYPE_CHECKING:
-    from hybrid.calibration import calibrate
-    from hybrid.diagnosis.answer.diagnosis import Diagnosis
-    from hybrid.diagnosis.diagnose import diagnose
-    from hybrid.effects import Effect, effect_classes
-    from hybrid.excitation import design as excite
-    from hybrid.exports.export import export
-    from hybrid.fleets.fleet import Fleet, fleet
-    from hybrid.identification import (
-        DynamicModel,
-        Fit,
-        identify,
-        predict,
-        validate,
-    )
-    from hybrid.identification.identifier import Identifier
-    from hybrid.inspect import Inspection, inspect_recording
-    from hybrid.online import OnlineIdentifier, Sample
-    from hybrid.plant import simulate
-    from hybrid.recording import Recording, recording_from_table
-    from hybrid.recording import read_all as read_recordings
-    from hybrid.robot import Robot
-    from hybrid.servo import ServoFit, fit_servo
-    from hybrid.signals import Motion
+    from hybrid.calibration import calibrate as calibrate
+    from hybrid.diagnosis.answer.diagnosis import Diagnosis as Diagnosis
+    from hybrid.diagnosis.diagnose import diagnose as diagnose
+    from hybrid.effects import Effect as Effect
+    from hybrid.effects import effect_classes as effect_classes
+    from hybrid.excitation import design
+    from hybrid.exports.export import export as export
+    from hybrid.fleets.fleet import Fleet as Fleet
+    from hybrid.fleets.fleet import fleet as fleet
+    from hybrid.identification import DynamicModel as DynamicModel
+    from hybrid.identification import Fit as Fit
+    from hybrid.identification import identify as identify
+    from hybrid.identification import predict as predict
+    from hybrid.identification import validate as validate
+    from hybrid.identification.identifier import Identifier as Identifier
+    from hybrid.inspect import Inspection as Inspection
+    from hybrid.inspect import inspect_recording as inspect_recording
+    from hybrid.online import OnlineIdentifier as OnlineIdentifier
+    from hybrid.online import Sample as Sample
+    from hybrid.plant import simulate as simulate
+    from hybrid.recording import Recording as Recording
+    from hybrid.recording import read_all
+    from hybrid.recording import recording_from_table as recording_from_table
+    from hybrid.robot import Robot as Robot
+    from hybrid.servo import ServoFit as ServoFit
+    from hybrid.servo import fit_servo as fit_servo
+    from hybrid.signals import Motion as Motion
+
+    excite, read_recordings = design, read_all
 
 __version__ = "0.1.0"
-
-# Results show themselves through a floor above them, which this package names.
-Shown.views = staticmethod(lambda: import_module("hybrid.views"))
-
-__all__ = [
-    "Diagnosis",
-    "DynamicModel",
-    "Effect",
-    "Fit",
-    "Fleet",
-    "Identifier",
-    "Inspection",
-    "Motion",
-    "OnlineIdentifier",
-    "Recording",
-    "Robot",
-    "Sample",
-    "ServoFit",
-    "__version__",
-    "calibrate",
-    "diagnose",
-    "effect_classes",
-    "excite",
-    "export",
-    "fit_servo",
-    "fleet",
-    "identify",
-    "inspect_recording",
-    "predict",
-    "read_recordings",
-    "recording_from_table",
-    "simulate",
-    "validate",
-]
 
 # Public name -> the module it lives in, and its name there where that is another one.
 _HOME = {
@@ -102,6 +72,8 @@ _HOME = {
     "simulate": "hybrid.plant",
     "validate": "hybrid.identification",
 }
+
+__all__ = ["__version__", *_HOME]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,5 @@
 """Tell a caller who passes an argument of another type what is right."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 
@@ -18,14 +16,7 @@ def check_argument(
     words: str,
     error: type[HybridError] = HybridError,
 ) -> None:
-    """Refuse an argument of another type.
-
-    Args:
-        value: The argument.
-        kind: Its valid types.
-        words: What it should be, and how to get one.
-        error: Type of the error.
-    """
+    """Refuse an argument of another type; ``words`` say what is valid."""
     if not isinstance(value, kind):
         shown = repr(value) if isinstance(value, str) else type(value).__name__
         raise error(f"{shown} is no {words}")

@@ -1,7 +1,5 @@
 """Errors that a user can act on: each says what is wrong and what is valid."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from types import FrameType

@@ -1,7 +1,5 @@
 """Write outputs whole or not at all; limit the size of inputs before parsing them."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import fcntl
@@ -25,12 +23,6 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
     On an exception the temporary file is removed and the old file stays unchanged.
     Missing parent folders are created. A link stays, and what it leads to is replaced.
-
-    Args:
-        path: Path of the finished file.
-
-    Yields:
-        A path in the same folder, with the same suffix.
 
     Raises:
         OSError: The path is a folder, a device or a pipe.
@@ -71,15 +63,8 @@ def atomic_folder(
     Files of the old folder that have other names are kept. A reader finds either all
     old or all new files, also after a crash. If a folder cannot be moved (the current
     folder, a mount point, a folder with subfolders or without write access to its
-    parent), its files are replaced one by one.
-
-    Args:
-        folder: Folder of the finished files.
-        finish: Called with the old and the hidden folder before the exchange, while
-            other processes that use this function wait.
-
-    Yields:
-        A new folder on the same disk.
+    parent), its files are replaced one by one. ``finish`` is called with the old and
+    the hidden folder before the exchange, while other users of this function wait.
     """
     folder = Path(folder).resolve()
     parent = folder.parent if not folder.is_dir() or _is_movable(folder) else folder

@@ -4,8 +4,6 @@ A name comes from a file and may hold any printable text, also markup or code. E
 writer calls the function here for its kind of output.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 

@@ -1,9 +1,7 @@
 """A scalar with its unit, bounds and uncertainty."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from hybrid.errors import HybridError
@@ -38,10 +36,6 @@ class Parameter:
                 f"parameter {self.name!r} is {self.value:g} {self.unit}, "
                 f"valid is {self.lower:g} to {self.upper:g} {self.unit}"
             )
-
-    def at(self, value: float, *, std: float = math.nan) -> Parameter:
-        """This parameter with another value (and standard deviation)."""
-        return replace(self, value=float(value), std=float(std))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready fields; non-finite numbers become ``None``."""

@@ -1,20 +1,13 @@
 """What a verb that takes its time tells while it works."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 
 class Progress(Protocol):
-    """Called at each step of the work."""
+    """Called at each step with its name, and the part of all work done, if known."""
 
     def __call__(self, text: str, done: float | None = None, /) -> None:
-        """Take note of a step.
-
-        Args:
-            text: What is being done now.
-            done: Part of the whole work that is behind it, 0 to 1, if known.
-        """
+        """Take note of a step."""
 
 
 def silent(text: str, done: float | None = None, /) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from importlib import import_module
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from hybrid.extras import check_extra
 
@@ -13,19 +14,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+def _views() -> Any:
+    """The module that shows results; it stands on the floor above them all."""
+    return import_module("hybrid.views")
+
+
 class Shown:
-    """Base class of results: a fit, a diagnosis, a design, ...
-
-    The package sets ``views`` to :mod:`hybrid.views`, as imports point down only.
-    """
-
-    views: ClassVar[Callable[[], Any]]
+    """Base class of results: a fit, a diagnosis, a design, ..."""
 
     def __repr__(self) -> str:
-        return str(Shown.views().text(self))
+        return str(_views().text(self))
 
     def _repr_html_(self) -> str:
-        return str(Shown.views().html(self))
+        return str(_views().html(self))
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the result.
@@ -36,11 +37,11 @@ class Shown:
         Returns:
             The axes; ``plot().figure`` is the figure.
         """
-        return Shown.views().plot(self, ax)  # type: ignore[no-any-return]
+        return _views().plot(self, ax)  # type: ignore[no-any-return]
 
     def to_html(self, path: str | Path) -> None:
         """Write a self-contained HTML page."""
-        Shown.views().write_page(self, path)
+        _views().write_page(self, path)
 
     def to_frame(self) -> Any:
         """A pandas data frame with one row for each unknown or joint.
@@ -51,7 +52,7 @@ class Shown:
         check_extra("pandas", "frames", "A data frame")
         import pandas
 
-        return pandas.DataFrame(Shown.views().rows(self))
+        return pandas.DataFrame(_views().rows(self))
 
 
 def plain(x: Any) -> Any:

@@ -1,7 +1,5 @@
 """Linear algebra on one thread: its matrices are too small to be worth sharing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar

@@ -1,15 +1,13 @@
 """Show results as tables, rows of numbers, pictures and pages.
 
-:func:`table`, :func:`rows` and :func:`draw` have an implementation for each kind of
-result; :class:`hybrid.shown.Shown` calls them.
+:class:`hybrid.shown.Shown` calls what is public here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import singledispatch
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from markupsafe import escape
@@ -24,8 +22,7 @@ from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
 from hybrid.report.fit import held_out_table
 from hybrid.report.inspection import joints_table, write_inspection
-from hybrid.report.output import provenance
-from hybrid.report.page import Section
+from hybrid.report.output import Section, provenance
 from hybrid.report.servo import gap_table
 from hybrid.report.style import BEST, BLUE, GREY, PALE, clean, new_figure, stage_inks
 from hybrid.report.table import Table
@@ -39,13 +36,13 @@ _HEIGHT = 3.2  # inches
 
 def text(result: Any) -> str:
     """The table of a result as lines of text."""
-    shown = table(result)
+    shown = _VIEWS[type(result)].table(result)
     return f"{shown.caption}\n{report.markdown_table(shown)}"
 
 
 def html(result: Any) -> str:
     """The table of a result as HTML; names in it are escaped."""
-    shown = table(result)
+    shown = _VIEWS[type(result)].table(result)
     head = "".join(f"<th>{escape(x)}</th>" for x in shown.header)
     lines = ("".join(f"<td>{escape(x)}</td>" for x in row) for row in shown.rows)
     body = "".join(f"<tr>{line}</tr>" for line in lines)
@@ -58,45 +55,37 @@ def html(result: Any) -> str:
 def plot(result: Any, ax: Axes | None = None) -> Axes:
     """Draw a result into axes; by default into those of a new figure."""
     axes = new_figure(_HEIGHT).subplots() if ax is None else ax
-    draw(result, axes)
+    _VIEWS[type(result)].draw(result, axes)
     return axes
 
 
-@singledispatch
-def table(result: Any) -> Table:
-    """The main table of a result."""
-    raise NotImplementedError(type(result))
-
-
-@singledispatch
 def rows(result: Any) -> list[dict[str, Any]]:
     """A result as rows of a data frame, in SI units."""
-    raise NotImplementedError(type(result))
+    return _VIEWS[type(result)].rows(result)
 
 
-@singledispatch
-def draw(result: Any, ax: Axes) -> None:
-    """Draw a result into axes."""
-    raise NotImplementedError(type(result))
-
-
-@singledispatch
 def write_page(result: Any, path: str | Path) -> None:
     """Write a result as an HTML page."""
-    shown, figure = table(result), new_figure(_HEIGHT)
-    draw(result, figure.subplots())
-    title, kind = type(result).__name__, "What was found"
-    sections = [Section(kind, table=shown, figure=figure, caption=shown.caption)]
-    report.write_page(path, title, sections, provenance=provenance())
+    if isinstance(result, Inspection):
+        write_inspection(path, [result], provenance=provenance())
+        return
+    view, figure = _VIEWS[type(result)], new_figure(_HEIGHT)
+    view.draw(result, figure.subplots())
+    table, title = view.table(result), type(result).__name__
+    caption = table.caption
+    found = Section("What was found", table=table, figure=figure, caption=caption)
+    report.write_page(path, title, [found], provenance=provenance())
 
 
-@table.register
-def _(fit: Fit) -> Table:
-    return held_out_table(fit)
+class View(NamedTuple):
+    """How a kind of result shows itself: a table, rows in SI units, and a picture."""
+
+    table: Callable[[Any], Table]
+    rows: Callable[[Any], list[dict[str, Any]]]
+    draw: Callable[[Any, Axes], None]
 
 
-@rows.register
-def _(fit: Fit) -> list[dict[str, Any]]:
+def _fit_rows(fit: Fit) -> list[dict[str, Any]]:
     low, high = fit.estimate.interval()
     columns = zip(
         fit.labels, fit.units, fit.estimate.theta, fit.estimate.std, low, high,
@@ -106,16 +95,14 @@ def _(fit: Fit) -> list[dict[str, Any]]:
     return [dict(zip(names, row, strict=True)) for row in columns]
 
 
-@draw.register(Fit)
-def _(fit: Fit, ax: Axes) -> None:
+def _draw_fit(fit: Fit, ax: Axes) -> None:
     known = stage_inks(list(fit.held_out))
     inks = [known.get(name, BEST) for name in fit.held_out]
     _bars(ax, fit.held_out, fit.model.robot.joints, inks)
     ax.set_ylabel("held-out RMS error [N·m]")
 
 
-@table.register
-def _(design: Design) -> Table:
+def _design_table(design: Design) -> Table:
     wanted = zip(
         design.observation.base.kept_labels, design.standard_errors(), strict=True
     )
@@ -127,26 +114,18 @@ def _(design: Design) -> Table:
     return Table(("unknown", "standard error to expect"), lines, caption)
 
 
-@rows.register
-def _(design: Design) -> list[dict[str, Any]]:
+def _design_rows(design: Design) -> list[dict[str, Any]]:
     labels = design.observation.base.kept_labels
     pairs = zip(labels, design.standard_errors(), strict=True)
     return [{"unknown": name, "standard_error": float(x)} for name, x in pairs]
 
 
-@draw.register(Design)
-def _(design: Design, ax: Axes) -> None:
+def _draw_design(design: Design, ax: Axes) -> None:
     reference = design.trajectories[0].reference(design.rate)
     _lines(ax, reference.t, reference.q, design.robot.joints, "position [rad]")
 
 
-@table.register
-def _(calibration: Calibration) -> Table:
-    return corrections_table(calibration)
-
-
-@rows.register
-def _(calibration: Calibration) -> list[dict[str, Any]]:
+def _calibration_rows(calibration: Calibration) -> list[dict[str, Any]]:
     low, high = calibration.interval()
     return [
         {"correction": x.name, "unit": x.unit, "value": x.value, "std": x.std,
@@ -155,8 +134,7 @@ def _(calibration: Calibration) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-@draw.register(Calibration)
-def _(calibration: Calibration, ax: Axes) -> None:
+def _draw_calibration(calibration: Calibration, ax: Axes) -> None:
     low, high = calibration.interval()
     middle, place = (low + high) / 2, np.arange(len(low))
     ax.errorbar(place, 1e3 * middle, 5e2 * (high - low), fmt="o", color=BLUE, capsize=2)
@@ -167,8 +145,7 @@ def _(calibration: Calibration, ax: Axes) -> None:
     ax.set_ylabel("correction [mm or mrad]")
 
 
-@table.register
-def _(inspection: Inspection) -> Table:
+def _inspection_table(inspection: Inspection) -> Table:
     found = joints_table([inspection])
     count = len(inspection.doubts)
     doubts = f"{count} doubt{'s' * (count != 1)}" if count else "nothing against it"
@@ -176,32 +153,19 @@ def _(inspection: Inspection) -> Table:
     return Table(found.header, found.rows, caption)
 
 
-@rows.register
-def _(inspection: Inspection) -> list[dict[str, Any]]:
-    return list(inspection.as_dict()["joints"])
-
-
-@draw.register(Inspection)
-def _(inspection: Inspection, ax: Axes) -> None:
+def _draw_inspection(inspection: Inspection, ax: Axes) -> None:
     log = inspection.recording
     measured = log.tau if log.has_torque else log.q
     label = "torque [N·m]" if log.has_torque else "position [rad]"
     _lines(ax, log.t - log.t[0], measured, log.joints, label)
 
 
-@write_page.register
-def _(inspection: Inspection, path: str | Path) -> None:
-    write_inspection(path, [inspection], provenance=provenance())
-
-
-@table.register
-def _(servos: ServoFit) -> Table:
+def _servos_table(servos: ServoFit) -> Table:
     found = gap_table(servos)
     return Table(found.header, found.rows, servos.sentence)
 
 
-@rows.register
-def _(servos: ServoFit) -> list[dict[str, Any]]:
+def _servos_rows(servos: ServoFit) -> list[dict[str, Any]]:
     return [
         {"joint": each["joint"], "quantity": name, **number}
         for each in servos.as_dict()["servos"]
@@ -210,16 +174,14 @@ def _(servos: ServoFit) -> list[dict[str, Any]]:
     ]
 
 
-@draw.register(ServoFit)
-def _(servos: ServoFit, ax: Axes) -> None:
+def _draw_servos(servos: ServoFit, ax: Axes) -> None:
     groups = {"file": servos.before, "found": servos.after, "encoder": servos.floor}
     millis = {name: 1000 * x for name, x in groups.items()}
     _bars(ax, millis, servos.robot.joints, [GREY, BEST, PALE])
     ax.set_ylabel("RMS error of replays [mrad]")
 
 
-@table.register
-def _(diagnosis: Diagnosis) -> Table:
+def _diagnosis_table(diagnosis: Diagnosis) -> Table:
     lines = tuple(
         (f"{x.share:.0%}", x.effect, " + ".join(x.joints), x.sentence)
         for x in diagnosis.findings
@@ -229,8 +191,7 @@ def _(diagnosis: Diagnosis) -> Table:
     return Table(header, lines, caption, words=True)
 
 
-@rows.register
-def _(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+def _diagnosis_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     return [
         {"effect": x.effect, "joint": value.joint, "parameter": value.name,
          "value": value.value, "unit": value.unit, "low": value.interval[0],
@@ -240,8 +201,7 @@ def _(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-@draw.register(Diagnosis)
-def _(diagnosis: Diagnosis, ax: Axes) -> None:
+def _draw_diagnosis(diagnosis: Diagnosis, ax: Axes) -> None:
     groups: dict[str, Any] = {"as the file stands": diagnosis.rms}
     if diagnosis.unseen is not None:
         groups |= {"with what was found, unseen": diagnosis.unseen.after}
@@ -272,3 +232,15 @@ def _lines(ax: Axes, t: Any, x: Any, joints: tuple[str, ...], label: str) -> Non
     ax.set_xlabel("time [s]")
     ax.set_ylabel(label)
     ax.legend(frameon=False, fontsize=8)
+
+
+_VIEWS = {
+    Fit: View(held_out_table, _fit_rows, _draw_fit),
+    Design: View(_design_table, _design_rows, _draw_design),
+    Calibration: View(corrections_table, _calibration_rows, _draw_calibration),
+    Inspection: View(
+        _inspection_table, lambda x: list(x.as_dict()["joints"]), _draw_inspection
+    ),
+    ServoFit: View(_servos_table, _servos_rows, _draw_servos),
+    Diagnosis: View(_diagnosis_table, _diagnosis_rows, _draw_diagnosis),
+}

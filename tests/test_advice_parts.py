@@ -19,8 +19,8 @@ from hybrid.diagnosis.advice.advise import (
     _placed,
     choose,
 )
-from hybrid.diagnosis.advice.envelope import Envelope
 from hybrid.diagnosis.advice.menu import (
+    Envelope,
     Experiment,
     Menu,
     concatenated,
@@ -29,16 +29,17 @@ from hybrid.diagnosis.advice.menu import (
 )
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
+    WhitenedColumns,
+    decimated,
     fit_rival,
     required_evidence,
     tried_shapes,
 )
-from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import simulated_torque
-from hybrid.diagnosis.gap.split import split
+from hybrid.diagnosis.gap.measure import split
 from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay

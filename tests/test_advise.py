@@ -13,11 +13,12 @@ from hybrid.diagnosis.advice.advise import advise, choose
 from hybrid.diagnosis.advice.menu import Experiment, Menu, concatenated, gap_along
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
+    WhitenedColumns,
+    decimated,
     fit_rival,
     required_evidence,
     tried_shapes,
 )
-from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.candidates import candidates

@@ -21,6 +21,7 @@ from hybrid.diagnosis.answer.findings import (
 )
 from hybrid.diagnosis.answer.fixed import _servo_notes, fixed_model, fixed_simulator
 from hybrid.diagnosis.answer.intervals import shrunk
+from hybrid.diagnosis.answer.links import delay_finding
 from hybrid.diagnosis.answer.motion_gap import (
     _in_motion,
     _removed,
@@ -42,7 +43,6 @@ from hybrid.diagnosis.answer.replay import (
     simulated_positions,
     windows_of,
 )
-from hybrid.diagnosis.answer.shared_delay import delay_finding
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
 from hybrid.diagnosis.diagnose import _drop_improbable, _verdict

@@ -10,7 +10,7 @@ from pendulum import pendulum, swings
 
 from hybrid import read_recordings
 from hybrid.diagnosis.evidence.noise import autocovariance
-from hybrid.diagnosis.gap.split import split, unseen_samples
+from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.dynamics import regressor
 from hybrid.dynamics.base import base_parameters
 from hybrid.effects.coulomb import Coulomb

@@ -21,8 +21,7 @@ from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.replay import Replay, simulated_positions
 from hybrid.diagnosis.diagnose import diagnose, examine
 from hybrid.diagnosis.gap.gap import simulated_torque
-from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import split, unseen_samples
+from hybrid.diagnosis.gap.measure import measure_gap, split, unseen_samples
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.effects.command_latency import CommandLatency

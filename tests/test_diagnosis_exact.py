@@ -43,8 +43,7 @@ from hybrid.diagnosis.gap.background import (
     soft_friction,
 )
 from hybrid.diagnosis.gap.faults import find_faults
-from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import split, unseen_samples
+from hybrid.diagnosis.gap.measure import measure_gap, split, unseen_samples
 from hybrid.effects import Quantity
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.stribeck import Stribeck

@@ -39,7 +39,7 @@ from hybrid.diagnosis.explanations.transmission_laws import (
     _with_lags,
     transmission_laws,
 )
-from hybrid.diagnosis.gap.split import split
+from hybrid.diagnosis.gap.measure import split
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb

@@ -14,8 +14,7 @@ from hybrid.diagnosis.explanations.joint_laws import joint_laws, waves
 from hybrid.diagnosis.explanations.proposals import Proposal
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.explanations.transmission_laws import transmission_laws
-from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import split
+from hybrid.diagnosis.gap.measure import measure_gap, split
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.saturation import Saturation

@@ -29,9 +29,14 @@ from hybrid.diagnosis.explanations.servo_fit import (
 )
 from hybrid.diagnosis.gap.coverage import not_excited, reversals
 from hybrid.diagnosis.gap.faults import Faults, _usual_run, find_faults, stretches
-from hybrid.diagnosis.gap.measure import _around, block_seconds, measure_gap
+from hybrid.diagnosis.gap.measure import (
+    _around,
+    block_seconds,
+    measure_gap,
+    split,
+    unseen_samples,
+)
 from hybrid.diagnosis.gap.servo import LATENCIES, ServoLog, laws
-from hybrid.diagnosis.gap.split import split, unseen_samples
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.viscous import Viscous

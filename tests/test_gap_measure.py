@@ -15,18 +15,21 @@ from hybrid.diagnosis.gap.background import (
     friction_near_rest,
     soft_friction,
 )
-from hybrid.diagnosis.gap.coverage import not_excited
-from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.coverage import (
+    not_excited,
+    too_little_motion,
+    wrong_simulator,
+)
+from hybrid.diagnosis.gap.gap import Gap, unit_at, units
 from hybrid.diagnosis.gap.measure import (
     _asked,
     _folds,
     _standing,
     block_seconds,
     measure_gap,
+    split,
+    unseen_samples,
 )
-from hybrid.diagnosis.gap.split import split, unseen_samples
-from hybrid.diagnosis.gap.units import unit_at, units
-from hybrid.diagnosis.gap.usability import too_little_motion, wrong_simulator
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import RecordingError

@@ -17,8 +17,7 @@ from hybrid.diagnosis.answer.replay import HORIZONS, Replay, windows_of
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.explanations.explanation import explain
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import split
+from hybrid.diagnosis.gap.measure import measure_gap, split
 from hybrid.effects import effect_classes
 from hybrid.plant import Noise, Plant, random_fourier
 from hybrid.plant.rollout import Windows, rollout

@@ -25,8 +25,6 @@ def test_a_parameter_knows_its_unit_bounds_and_uncertainty():
 def test_a_value_outside_its_bounds_is_refused_with_the_bounds(value):
     with pytest.raises(HybridError, match="'level'.*valid is 0 to 5 N·m"):
         Parameter("level", value, 0.0, 5.0, "N·m")
-    with pytest.raises(HybridError, match="valid is 0 to 5"):
-        Parameter("level", 1.0, 0.0, 5.0, "N·m").at(value)
 
 
 @given(lower=numbers, width=st.floats(0, 1e6), part=st.floats(0, 1))
@@ -34,13 +32,6 @@ def test_every_value_within_the_bounds_is_accepted(lower, width, part):
     upper = lower + width
     value = min(max(lower + part * width, lower), upper)
     assert Parameter("x", value, lower, upper).value == value
-
-
-def test_another_value_forgets_the_old_uncertainty():
-    moved = Parameter("level", 2.0, 0.0, 5.0, "N·m", std=0.1).at(3.0)
-    assert (moved.value, moved.upper, moved.unit) == (3.0, 5.0, "N·m")
-    assert math.isnan(moved.std)
-    assert moved.at(1.0, std=0.2).std == 0.2
 
 
 def test_an_unbounded_unestimated_parameter_is_valid_json():

@@ -20,8 +20,7 @@ from hybrid.diagnosis.explanations.refit import (
     solve_all,
 )
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.diagnosis.gap.split import split
+from hybrid.diagnosis.gap.measure import measure_gap, split
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.effects.contact import Contact

@@ -104,7 +104,7 @@ def test_terminal_table_takes_no_name_for_markup():
     out = StringIO()
     strange = validation(joints=("[red]a", "elbow", "wrist"))
     Console(file=out, width=120).print(
-        report.numbers_table(report.table_from_validation(strange))
+        report.terminal_table(report.table_from_validation(strange))
     )
     assert "[red]a" in out.getvalue()
     assert "−75.0 %" in out.getvalue()

@@ -3,32 +3,16 @@
 One verb = one file = one public function. Only this package prints.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import sys
-from argparse import Namespace, RawDescriptionHelpFormatter
-from collections.abc import Sequence
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Collection, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
 
 from hybrid import __version__
-from hybrid.cli import (
-    calibrate,
-    demo,
-    diagnose,
-    effects,
-    excite,
-    export,
-    fleet,
-    identify,
-    inspect,
-    predict,
-    simulate,
-    track,
-    validate,
-)
-from hybrid.cli.shared.options import Parser
-from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
 from hybrid.names import printable
 
@@ -36,11 +20,23 @@ __all__ = ["build_parser", "main"]
 
 OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
-_MODULES = (
-    demo, inspect, excite, simulate, identify, validate, predict, track, calibrate,
-    diagnose, fleet, export, effects,
-)  # fmt: skip
-_VERBS = {module.__name__.rpartition(".")[2]: module for module in _MODULES}
+_VERBS = {
+    "demo": "identify a UR10 from a real log that comes with the package",
+    "inspect": "look at recordings before anything is fitted to them",
+    "excite": "design the motion that reveals the parameters",
+    "simulate": "simulate motions of an arm with effects that its file does not know",
+    "identify": "identify the drive torque of an arm from recordings",
+    "validate": "score a model on recordings that it was not identified from",
+    "predict": "predict the drive torque along a recording",
+    "track": "track the parameters of a model along a recording, sample by sample",
+    "calibrate": "calibrate the geometry of an arm from measured poses",
+    "diagnose": "say what a simulator lacks: where, which effect, how far the gap "
+    "shrinks",
+    "fleet": "which arms of a fleet change, when, in what, and which are unlike the "
+    "others",
+    "export": "export a model to C, ONNX, TorchScript, MJCF, URDF, Isaac Lab or JSON",
+    "effects": "list effects, or tell all about one",
+}
 _EXAMPLES = """\
 a real log, in ten seconds:
   hybrid demo
@@ -70,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # "±" on a terminal of 1985
     try:
-        _run(_parsed(argv))
+        _run(_parsed(sys.argv[1:] if argv is None else argv))
     except HybridError as error:
         return _fail(BAD_INPUT, str(error))
     except KeyboardInterrupt:
@@ -93,33 +89,68 @@ def main(argv: Sequence[str] | None = None) -> int:
     return OK
 
 
-def build_parser() -> Parser:
-    """The parser of all verbs; building it imports nothing heavy."""
+class Parser(ArgumentParser):
+    """An argument parser that reports an error as one line with what is valid."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(
+            allow_abbrev=False, formatter_class=RawDescriptionHelpFormatter, **options
+        )
+
+    def error(self, message: str) -> NoReturn:
+        """See :meth:`argparse.ArgumentParser.error`."""
+        if "choose from" not in message:
+            message += f"; {' '.join(self.format_usage().split())}"
+        raise HybridError(message)
+
+
+def build_parser(known: Collection[str] = tuple(_VERBS)) -> Parser:
+    """The parser of the command line.
+
+    Args:
+        known: Verbs whose arguments it knows; the modules of the others, which may be
+            heavy, are not imported.
+    """
     parser = Parser(
         prog="hybrid",
         description="Identify the drive torque of a robot arm from logs of its joints: "
         "rigid body + effects + a learned remainder.",
         epilog=_EXAMPLES,
-        formatter_class=RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"hybrid {__version__}")
     verbs = parser.add_subparsers(metavar=f"{{{','.join(_VERBS)}}}", required=True)
-    for name, module in _VERBS.items():
-        first_line, rest = module.HELP.split("\n", 1)
-        verb = verbs.add_parser(
-            name,
-            help=first_line,
-            description=first_line,
-            epilog=rest.strip("\n"),
-            formatter_class=RawDescriptionHelpFormatter,
-        )
-        module.add_arguments(verb)
-        verb.set_defaults(verb=name, parser=verb)
+    for name, does in _VERBS.items():
+        verb = verbs.add_parser(name, help=does, description=does)
+        if name in known:
+            module = import_module(f"hybrid.cli.{name}")
+            verb.epilog = module.HELP
+            module.add_arguments(verb)
+            _add_common(verb)
+            verb.set_defaults(run=module.run, verb=name, parser=verb)
     return parser
 
 
-def _parsed(argv: Sequence[str] | None) -> Namespace:
-    args, unknown = build_parser().parse_known_args(argv)
+def _add_common(parser: ArgumentParser) -> None:
+    """Add ``--effects-from`` and ``--json``."""
+    parser.add_argument(
+        "--effects-from",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.py",
+        help="load effects of your own from a Python file; may be repeated",
+    )
+    parser.add_argument(
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help="write the results, and how they came about, for other programs",
+    )
+
+
+def _parsed(argv: Sequence[str]) -> Namespace:
+    asked = [word for word in argv if word in _VERBS][:1]
+    args, unknown = build_parser(asked).parse_known_args(argv)
     if unknown:
         args.parser.error(f"unknown {' '.join(unknown)}")
     args.inputs = []  # files that the result depends on, as they are loaded
@@ -127,16 +158,15 @@ def _parsed(argv: Sequence[str] | None) -> Namespace:
 
 
 def _run(args: Namespace) -> None:
+    from hybrid.cli.shared.screen import Screen
+    from hybrid.effects import effects_from_file
     from hybrid.threads import one_thread
 
     screen = Screen()
     with screen.warnings():
-        if args.effects_from:
-            from hybrid.effects import effects_from_file
-
-            for path in args.effects_from:
-                effects_from_file(path)
-        one_thread(_VERBS[args.verb].run)(args, screen)
+        for path in args.effects_from:
+            effects_from_file(path)
+        one_thread(args.run)(args, screen)
         sys.stdout.flush()
 
 

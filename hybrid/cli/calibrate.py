@@ -1,19 +1,30 @@
 """``hybrid calibrate``: the geometry of an arm from measured poses."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from hybrid.calibration import (
+    calibrate,
+    choose_poses,
+    cross_validate,
+    random_poses,
+    read_measurements,
+)
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import warn
+from hybrid.recording.write import write_columns
+from hybrid.report import write_results
+from hybrid.report.calibration import (
+    content_from_calibration,
+    corrections_table,
+    errors_table,
+)
+from hybrid.robot import Robot
 
-if TYPE_CHECKING:
-    from hybrid.robot import Robot
-
-HELP = """calibrate the geometry of an arm from measured poses
+HELP = """\
 writes DIR/calibration.json and DIR/NAME, the robot's own file with its joints where
 they are. Columns of poses.csv: q1 ... or q_<joint>, and what was measured at rest:
 x, y, z of a point on the flange (x_2, y_2, z_2 of a second one), with qx, qy, qz, qw or
@@ -69,7 +80,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="plain least squares over all measurements",
     )
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -82,11 +92,6 @@ def run(args: Namespace, screen: Screen) -> None:
 
 
 def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
-    import numpy as np
-
-    from hybrid.calibration import choose_poses, random_poses
-    from hybrid.recording.write import write_columns
-
     path = args.out / "poses.csv"
     how = options.begin(args, [path])
     candidates = random_poses(robot, _CANDIDATES, args.seed)
@@ -102,14 +107,6 @@ def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
 
 
 def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
-    from hybrid.calibration import calibrate, cross_validate, read_measurements
-    from hybrid.report import write_results
-    from hybrid.report.calibration import (
-        content_from_calibration,
-        corrections_table,
-        errors_table,
-    )
-
     written, summary = args.out / args.robot.name, args.out / "calibration.json"
     data = read_measurements(args.poses, robot.joints)
     args.inputs.append(args.poses)
@@ -123,8 +120,7 @@ def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
     write_results(summary, content | {"provenance": how})
     options.write_record(args, how, content)
     _warn_of_wrong_columns(content["errors"])
-    screen.show_numbers(errors_table(errors))
-    screen.show_numbers(corrections_table(calibration))
+    screen.show(errors_table(errors), corrections_table(calibration))
     for text in calibration.unidentifiable:
         screen.say(f"unidentifiable: {text}")
     for x in calibration.rejected:

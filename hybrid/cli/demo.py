@@ -1,14 +1,20 @@
 """``hybrid demo``: a real log from reading to a model, without a robot or a network."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+from hybrid.examples import examples_folder
+from hybrid.identification import identify
+from hybrid.inspect import inspect_recording
+from hybrid.recording import read
+from hybrid.report import save_figure
+from hybrid.report.fit import content_from_fit, excerpt_figure, held_out_table
+from hybrid.report.inspection import clocks_table, verdict
+from hybrid.robot import Robot
 
-HELP = """identify a UR10 from a real log that comes with the package
+HELP = """\
 A UR10 moved for twelve seconds, and ROS 2 recorded it. The demo reads the bag, holds it
 against physics, identifies the arm, shows the torque error of every stage on samples
 left out of the fit, and writes DIR/model.json and DIR/torque.png. It needs no network
@@ -23,20 +29,10 @@ example:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("--out", type=Path, default=Path("hybrid-demo"), metavar="DIR")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Read, inspect, identify, draw and show."""
-    from hybrid.examples import examples_folder
-    from hybrid.identification import identify
-    from hybrid.inspect import inspect_recording
-    from hybrid.recording import read
-    from hybrid.report import save_figure
-    from hybrid.report.fit import content_from_fit, excerpt_figure, held_out_table
-    from hybrid.report.inspection import clocks_table, verdict
-    from hybrid.robot import Robot
-
     arm, bag = (examples_folder() / name for name in ("ur10.urdf", "ur10_bag"))
     model, picture = args.out / "model.json", args.out / "torque.png"
     args.inputs += [arm, bag]
@@ -44,7 +40,7 @@ def run(args: Namespace, screen: Screen) -> None:
     robot = Robot.load(arm)
     log = read(bag, joints=robot.joints)
     found = [inspect_recording(log, robot)]
-    screen.show_numbers(clocks_table(found))
+    screen.show(clocks_table(found))
     screen.say(verdict(found))
     with screen.working(f"identifying {robot.name}"):
         fit = identify(robot, [log])
@@ -52,6 +48,6 @@ def run(args: Namespace, screen: Screen) -> None:
     fit.model.save(model)
     save_figure(figure, picture)
     options.write_record(args, how, content_from_fit(fit))
-    screen.show_numbers(held_out_table(fit))
+    screen.show(held_out_table(fit))
     screen.say(f"model: {model}")
     screen.say(f"measured and identified torque: {picture}")

@@ -1,27 +1,33 @@
 """``hybrid diagnose``: what a simulator lacks, from logs of the real arm."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from hybrid.cli.shared import options, servos
 from hybrid.cli.shared.screen import Screen
+from hybrid.diagnosis import diagnose
+from hybrid.diagnosis.advice.advise import advise
+from hybrid.diagnosis.answer import fixed
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
+from hybrid.diagnosis.answer.result import Result
 from hybrid.errors import EffectError, HybridError, warn
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
-    from hybrid.model import DynamicModel
-    from hybrid.recording import Recording
-    from hybrid.report.viewers import Scene
-    from hybrid.robot import Robot
+from hybrid.files import atomic_folder, write_json
+from hybrid.model import DynamicModel
+from hybrid.recording import Recording
+from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
+from hybrid.report.diagnosis_text import verdict_lines
+from hybrid.report.servo import write_servo_page
+from hybrid.report.viewers import Scene, scene_of_diagnosis, scene_of_servos, writer_of
+from hybrid.robot import Robot
 
 _MOST_NOTES = 3
 
-HELP = """say what a simulator lacks: where, which effect, how far the gap shrinks
+HELP = """\
 reads logs of the real arm (time, position, torque; temperature where it is there; one
 with holes counts as several) and its simulator as it stands. Writes DIR/report.html, a
 page that opens offline, and DIR/diagnosis.json with the same content for programs;
@@ -53,12 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     options.add_recordings(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.add_argument(
-        "--cutoff",
-        type=options.positive,
-        metavar="HZ",
-        help="cut-off of columns and torque (default: from the spectrum)",
-    )
+    options.add_cutoff(parser)
     servos.add_arguments(parser)
     parser.add_argument(
         "--rerun",
@@ -70,22 +71,18 @@ def add_arguments(parser: ArgumentParser) -> None:
         "for Rerun or .mcap for Foxglove; may be repeated",
     )
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Diagnose, write the report and say what came out."""
-    from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR
-    from hybrid.report.diagnosis import CONTENT, PAGE
-    from hybrid.report.viewers import writer_of
-    from hybrid.robot import Robot
-
     for path in args.rerun:
         writer_of(path)  # refuses what cannot be written
     simulator = _simulator(args)
     robot = simulator if isinstance(simulator, Robot) else simulator.robot
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
-    outputs = [args.out / name for name in (PAGE, CONTENT, SIMULATOR, MODEL)]
+    outputs = [
+        args.out / name for name in (PAGE, CONTENT, fixed.SIMULATOR, fixed.MODEL)
+    ]
     how = options.begin(args, [*outputs, *args.rerun])
     if not servos.check_arguments(args, recordings):
         _diagnose_torque(args, robot, simulator, recordings, how, screen)
@@ -103,19 +100,8 @@ def _diagnose_torque(
     how: dict[str, Any],
     screen: Screen,
 ) -> None:
-    import numpy as np
-
-    from hybrid.diagnosis.advice.advise import advise
-    from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR
-    from hybrid.diagnosis.answer.motion_gap import with_motion_gap
-    from hybrid.diagnosis.diagnose import examine
-    from hybrid.files import atomic_folder
-    from hybrid.report.diagnosis import PAGE, write_diagnosis
-    from hybrid.report.diagnosis_text import verdict_lines
-    from hybrid.report.viewers import scene_of_diagnosis
-
     with screen.working(f"diagnosing {robot.name}") as tell:
-        result = examine(
+        result = diagnose.examine(
             simulator, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
         )
         rng = np.random.default_rng(args.seed)
@@ -131,15 +117,15 @@ def _diagnose_torque(
         screen.say(line)
     screen.say(f"Report: {args.out / PAGE}")
     if notes is not None and (result.effects or result.command):
-        lacks = f"; only in {MODEL}, or better: {_few(notes)}" if notes else ""
-        screen.say(f"Simulator with what was found: {args.out / SIMULATOR}{lacks}")
+        lacks = f"; only in {fixed.MODEL}, or better: {_few(notes)}" if notes else ""
+        screen.say(
+            f"Simulator with what was found: {args.out / fixed.SIMULATOR}{lacks}"
+        )
     _to_viewers(args, screen, lambda: scene_of_diagnosis(result))
 
 
 def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> None:
     """Write the files of ``--rerun``, or warn that the arm cannot be simulated."""
-    from hybrid.report.viewers import writer_of
-
     if not args.rerun:
         return
     try:
@@ -154,11 +140,7 @@ def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> 
 
 
 def _simulator(args: Namespace) -> Robot | DynamicModel:
-    """Load the simulator or the model to compare with.
-
-    Raises:
-        HybridError: Neither a simulator nor a model is given, or both.
-    """
+    """Load the simulator or the model to compare with."""
     if (args.robot is None) == (args.baseline is None):
         raise HybridError("either --robot or --baseline says what to compare with")
     if args.baseline is None:
@@ -175,23 +157,17 @@ def _diagnose_servos(
     how: dict[str, Any],
     screen: Screen,
 ) -> None:
-    from hybrid.diagnosis.answer.fixed import SIMULATOR
-    from hybrid.files import atomic_folder, write_json
-    from hybrid.report.diagnosis import CONTENT, PAGE
-    from hybrid.report.servo import write_servo_page
-    from hybrid.report.viewers import scene_of_servos
-
     found = servos.fit(args, robot, recordings, screen)
     logs = [x for x in recordings if x.source in found.unseen] or list(recordings)
     replay = found.replayed(logs[0])
     with atomic_folder(args.out) as folder:
         write_json(folder / CONTENT, {**found.as_dict(), "provenance": how})
         write_servo_page(folder / PAGE, found, replay, provenance=how)
-        found.save(folder / SIMULATOR)
+        found.save(folder / fixed.SIMULATOR)
     options.write_record(args, how, found.as_dict())
     servos.show(found, screen)
     screen.say(f"Report: {args.out / PAGE}")
-    screen.say(f"Simulator with what was found: {args.out / SIMULATOR}")
+    screen.say(f"Simulator with what was found: {args.out / fixed.SIMULATOR}")
     _to_viewers(args, screen, lambda: scene_of_servos(robot, replay))
 
 
@@ -203,10 +179,8 @@ def _few(notes: Sequence[str]) -> str:
 
 def _fix(result: Result, folder: Path, home: Path) -> tuple[str, ...] | None:
     """Write the corrected simulator, or warn that it cannot be simulated."""
-    from hybrid.diagnosis.answer.fixed import write_fixed
-
     try:
-        return write_fixed(result, folder, home=home).notes
+        return fixed.write_fixed(result, folder, home=home).notes
     except EffectError as error:
         warn(f"no corrected simulator: {error}")
         return None

@@ -1,20 +1,19 @@
 """``hybrid effects``: what can be simulated and found."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from hybrid import effects
 from hybrid.cli.shared import options
-from hybrid.cli.shared.screen import Screen, words_table
+from hybrid.cli.shared.screen import Screen
+from hybrid.effects import Effect, Quantity
 from hybrid.errors import HybridError
+from hybrid.plant.scale import joint_scales
+from hybrid.report import Table
+from hybrid.robot import Robot
 
-if TYPE_CHECKING:
-    from hybrid.effects import Effect, Quantity
-    from hybrid.robot import Robot
-
-HELP = """list effects, or tell all about one
+HELP = """\
 an effect has gains, which a fit finds, and shapes, which are given. With a robot, the
 usual size of each is shown for each joint, in SI units.
 
@@ -39,19 +38,16 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("effect", nargs="?", metavar="EFFECT", help="one of them")
     options.add_robot(parser, required=False, more=", to show sizes for")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """List or describe."""
-    from hybrid.effects import effect_class, effect_classes
-
     if args.robot and not args.effect:
         raise HybridError("--robot shows the sizes of one effect; name it")
     if args.effect:
-        found = [effect_class(args.effect)]
+        found = [effects.effect_class(args.effect)]
     else:
-        found = list(effect_classes().values())
+        found = list(effects.effect_classes().values())
     robot = options.load_robot(args) if args.robot else None
     how = options.begin(args)
     content = {"effects": [content_from_class(cls) for cls in found]}
@@ -80,19 +76,16 @@ def content_from_class(cls: type[Effect]) -> dict[str, Any]:
 
 
 def _show_all(found: list[type[Effect]], screen: Screen) -> None:
-    from rich.text import Text
-
     rows = []
     for cls in found:
         units = ", ".join(
             f"{x.name} [{x.unit}]" if x.unit else x.name
             for x in (*cls.gains, *cls.shapes)
         )
-        about = Text("\n").join(
-            [Text(cls.equation), Text(units, style="cyan"), Text(_sentence(cls))]
-        )
-        rows.append((Text(cls.id, style="bold"), cls.port.value, about))
-    screen.show(words_table(("effect", "port", "equation, parameters, sign"), rows))
+        about = f"{cls.equation}\n{units}\n{_sentence(cls)}"
+        rows.append((cls.id, cls.port.value, about))
+    header = ("effect", "port", "equation, parameters, sign")
+    screen.show(Table(header, tuple(rows), words=True))
 
 
 def _show_one(cls: type[Effect], screen: Screen) -> None:
@@ -115,22 +108,20 @@ def _show_one(cls: type[Effect], screen: Screen) -> None:
         for kind, x in kinds
     ]
     header = ("parameter", "kind", "unit", "usual", "plausible", "in multiples of")
-    screen.show(words_table(header, rows))
+    screen.show(Table(header, tuple(rows), words=True))
     value = kinds[0][1].name
     screen.say(f"--effects '{cls.id}{place}' or '{cls.id}{place}({value}=NUMBER)'")
 
 
 def _show_sizes(cls: type[Effect], robot: Robot, screen: Screen) -> None:
     """Show usual sizes at each joint of an arm, in SI units."""
-    from hybrid.plant.scale import joint_scales
-
     rows = [
         (joint, x.name, x.unit, f"{x.typical:.4g}", f"{x.lower:.4g} to {x.upper:.4g}")
         for joint, scale in zip(robot.joints, joint_scales(robot), strict=True)
         for x in (y.scaled(scale) for y in (*cls.gains, *cls.shapes))
     ]
     header = ("joint", "parameter", "unit", "usual", "plausible")
-    screen.show(words_table(header, rows, title=f"On {robot.name}"))
+    screen.show(Table(header, tuple(rows), f"On {robot.name}", words=True))
 
 
 def _sentence(cls: type[Effect]) -> str:

@@ -1,22 +1,35 @@
 """``hybrid excite``: the motion that reveals the parameters."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
+from hybrid.excitation import (
+    Clearance,
+    Condition,
+    Design,
+    DOptimal,
+    Floor,
+    Fourier,
+    Limits,
+    Spline,
+    design,
+    observe,
+)
+from hybrid.excitation.constraints import Constraint
+from hybrid.excitation.criteria import Criterion
+from hybrid.excitation.folder import DESIGN, reference_paths
+from hybrid.plant.noise import Noise
+from hybrid.report import save_figure
+from hybrid.report.excitation import information_figure, motion_figure, postures_figure
+from hybrid.robot import Robot
+from hybrid.robot.geometry import capsules_from_robot
 
-if TYPE_CHECKING:
-    from hybrid.excitation import Design, Limits
-    from hybrid.excitation.constraints import Constraint
-    from hybrid.excitation.criteria import Criterion
-    from hybrid.robot import Robot
-
-HELP = """design the motion that reveals the parameters
+HELP = """\
 writes DIR/reference_1.csv ... (time, position, speed, acceleration), DIR/design.json
 (coefficients, condition, predicted standard errors) and the pictures motion.png,
 information.png and postures.png. The motion starts and ends at rest and keeps the
@@ -28,10 +41,12 @@ examples:
   hybrid excite --robot arm.urdf --effects viscous,coulomb --clearance 0.02 \\
       --floor 0 --trajectories 3 --duration 20 --out excite"""
 
-_CRITERIA = ("error", "condition", "d")
+# The expected error is the default of a design.
+_CRITERIA: dict[str, Criterion | None] = {
+    "error": None, "condition": Condition(), "d": DOptimal(),
+}  # fmt: skip
 # What a fit of a log has beside the rigid body; published condition numbers have none.
 _FITTED = "armature,torque_offset,coulomb,viscous"
-_FAMILIES = ("fourier", "spline")
 _PICTURES = ("motion.png", "information.png", "postures.png")
 
 
@@ -47,7 +62,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--criterion",
-        choices=_CRITERIA,
+        choices=tuple(_CRITERIA),
         default="error",
         help="error: expected torque error on random motions within the limits "
         "(default); d: volume of the confidence ellipsoid; condition: number of the "
@@ -55,12 +70,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     _add_motion(parser)
-    _add_limits(parser)
-    options.add_common(parser)
 
 
 def _add_motion(parser: ArgumentParser) -> None:
-    parser.add_argument("--family", choices=_FAMILIES, default="fourier")
+    parser.add_argument("--family", choices=("fourier", "spline"), default="fourier")
     parser.add_argument("--trajectories", type=options.count, default=1, metavar="N")
     parser.add_argument(
         "--together",
@@ -68,13 +81,7 @@ def _add_motion(parser: ArgumentParser) -> None:
         help="choose the N motions as a set, not one after the other: better, slower",
     )
     parser.add_argument("--starts", type=options.count, default=3, metavar="N")
-    parser.add_argument(
-        "--duration",
-        type=options.positive,
-        default=20.0,
-        metavar="S",
-        help="of each, s",
-    )
+    options.add_number(parser, "--duration", "S", "of each, s", 20.0)
     parser.add_argument(
         "--order",
         type=options.count,
@@ -82,28 +89,11 @@ def _add_motion(parser: ArgumentParser) -> None:
         metavar="N",
         help="harmonics (default 10)",
     )
-    parser.add_argument(
-        "--rate", type=options.positive, default=500.0, metavar="HZ", help="of the CSV"
-    )
-
-
-def _add_limits(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--fill",
-        type=options.positive,
-        default=0.8,
-        metavar="PART",
-        help="part of position, speed, acceleration and torque limits to use",
-    )
-    parser.add_argument(
-        "--jerk", type=options.positive, metavar="J", help="limit, rad/s³"
-    )
-    parser.add_argument(
-        "--clearance",
-        type=options.positive,
-        metavar="M",
-        help="least distance of links, m",
-    )
+    options.add_number(parser, "--rate", "HZ", "of the CSV", 500.0)
+    words = "part of position, speed, acceleration and torque limits to use"
+    options.add_number(parser, "--fill", "PART", words, 0.8)
+    options.add_number(parser, "--jerk", "J", "limit, rad/s³")
+    options.add_number(parser, "--clearance", "M", "least distance of links, m")
     parser.add_argument(
         "--floor", type=float, metavar="Z", help="height that links stay above, m"
     )
@@ -111,12 +101,6 @@ def _add_limits(parser: ArgumentParser) -> None:
 
 def run(args: Namespace, screen: Screen) -> None:
     """Design and write."""
-    import numpy as np
-
-    from hybrid.excitation import Limits, design, observe
-    from hybrid.excitation.folder import DESIGN, reference_paths
-    from hybrid.plant.noise import Noise
-
     robot = options.load_robot(args)
     plain = args.criterion == "condition"
     wanted = "" if plain and args.effects is None else args.effects or _FITTED
@@ -128,13 +112,16 @@ def run(args: Namespace, screen: Screen) -> None:
     limits = Limits.of(robot, fill=args.fill, jerk=jerk)
     noise = None if plain else Noise.typical(robot).torque_covariance
     observation = observe(robot.chain, effects, covariance=noise)
+    family: Fourier | Spline = Fourier(args.order, 1.0 / args.duration)
+    if args.family == "spline":
+        family = Spline(args.duration, 2 * args.order)
     with screen.working(f"designing for {observation.size} parameters"):
         found = design(
             robot,
             observation,
-            _family(args),
+            family,
             seed=args.seed,
-            criterion=_criterion(args.criterion),
+            criterion=_CRITERIA[args.criterion],
             limits=limits,
             constraints=_constraints(args, robot, limits),
             trajectories=args.trajectories,
@@ -143,24 +130,13 @@ def run(args: Namespace, screen: Screen) -> None:
             rate=max(20.0, 8.0 * args.order / args.duration),
         )
     found.save(args.out, rate=args.rate, more={"provenance": how})
-    _draw(args, found, limits)
-    options.write_record(args, how, found.as_dict())
-    _tell(args, screen, found)
-
-
-def _draw(args: Namespace, found: Design, limits: Limits) -> None:
-    from hybrid.report import save_figure
-    from hybrid.report.excitation import (
-        information_figure,
-        motion_figure,
-        postures_figure,
-    )
-
-    motion, information, postures = (args.out / x for x in _PICTURES)
-    robot, reference = found.robot, found.trajectories[0].reference(50.0)
+    motion, information, postures = pictures
+    reference = found.trajectories[0].reference(50.0)
     save_figure(motion_figure(reference, robot.joints, limits), motion)
     save_figure(information_figure(found), information)
     save_figure(postures_figure(robot, reference), postures)
+    options.write_record(args, how, found.as_dict())
+    _tell(args, screen, found)
 
 
 def _tell(args: Namespace, screen: Screen, found: Design) -> None:
@@ -184,34 +160,13 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
         screen.say(f"each further motion shortens the mean standard error by {parts}")
     name, worst = max(found.excess.items(), key=lambda item: item[1])
     screen.say(f"nearest limit: {name}, {-100 * worst:.2g} % away")
-    options = {"links that meet (--clearance)": args.clearance}
-    options["a floor (--floor)"] = args.floor
-    if left_out := [what for what, given in options.items() if given is None]:
+    asked = {"links that meet (--clearance)": args.clearance}
+    asked["a floor (--floor)"] = args.floor
+    if left_out := [what for what, given in asked.items() if given is None]:
         screen.say(f"not looked at: {', '.join(left_out)}")
 
 
-def _family(args: Namespace) -> Any:
-    from hybrid.excitation import Fourier, Spline
-
-    if args.family == "spline":
-        return Spline(args.duration, 2 * args.order)
-    return Fourier(args.order, 1.0 / args.duration)
-
-
-def _criterion(name: str) -> Criterion | None:
-    """The criterion of that name; None for the default."""
-    from hybrid.excitation import Condition, DOptimal
-
-    kinds: dict[str, type[Criterion]] = {"condition": Condition, "d": DOptimal}
-    return kinds[name]() if name in kinds else None
-
-
 def _constraints(args: Namespace, robot: Robot, limits: Limits) -> list[Constraint]:
-    import numpy as np
-
-    from hybrid.excitation import Clearance, Floor
-    from hybrid.robot.geometry import capsules_from_robot
-
     found: list[Constraint] = []
     if args.clearance is not None:
         found.append(Clearance.of(robot, limits, margin=args.clearance))

@@ -1,26 +1,26 @@
 """``hybrid export``: a model in a format that other programs run."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from hybrid.arrays import Array
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
-
-if TYPE_CHECKING:
-    from hybrid.arrays import Array
-    from hybrid.identification import DynamicModel
-    from hybrid.signals import Motion
+from hybrid.exports import export, read_manifest
+from hybrid.exports.manifest import FILE as MANIFEST
+from hybrid.exports.simulator.check import gaps
+from hybrid.identification import DynamicModel
+from hybrid.identification.preparation import prepare_motions
+from hybrid.names import file_stem
+from hybrid.signals import Motion
 
 _FORMATS = (
     "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
 )  # fmt: skip
 
-HELP = """export a model to C, ONNX, TorchScript, MJCF, URDF, Isaac Lab or JSON
+HELP = """\
 c            one C99 header with an example and CMakeLists.txt; torque from q, v and a,
              limited to the rated one, with a status (see the header's own comments)
 onnx         the same with a free batch axis, in double precision
@@ -59,14 +59,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     options.add_recordings(parser, required=False)
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Export and say what is missing."""
-    from hybrid.exports import export, read_manifest
-    from hybrid.exports.manifest import FILE as MANIFEST
-
     if args.out.exists() and not args.out.is_dir():
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")
     model = _with_file(options.load_model(args, args.model), args)
@@ -89,13 +85,7 @@ def run(args: Namespace, screen: Screen) -> None:
 
 
 def _motions(args: Namespace, model: DynamicModel, screen: Screen) -> list[Motion]:
-    """Motions of ``--recordings``, if there are any.
-
-    Raises:
-        HybridError: The format has nothing that is fitted to them.
-    """
-    from hybrid.identification.preparation import prepare_motions
-
+    """Motions of ``--recordings``, if there are any."""
     if not args.recordings:
         return []
     if args.format not in _FITTED:
@@ -111,9 +101,6 @@ def _gap(
     args: Namespace, model: DynamicModel, motions: list[Motion]
 ) -> dict[str, Array]:
     """What simulators and model miss of recordings."""
-    from hybrid.exports.simulator.check import gaps
-    from hybrid.names import file_stem
-
     if not motions or args.format not in ("mjcf", "urdf"):
         return {}
     suffix = "xml" if args.format == "mjcf" else "urdf"
@@ -122,11 +109,7 @@ def _gap(
 
 
 def _with_file(model: DynamicModel, args: Namespace) -> DynamicModel:
-    """The model with its robot's file, as given or beside the model.
-
-    Raises:
-        HybridError: The file that was given is not there.
-    """
+    """The model with its robot's file, as given or beside the model."""
     if args.robot and not args.robot.is_file():
         raise HybridError(f"{args.robot}: no such robot file")
     args.inputs += [args.robot] if args.robot else []

@@ -1,14 +1,16 @@
 """``hybrid fleet``: many arms over time, and against each other."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+from hybrid.fleets import fleet
+from hybrid.fleets.plan import read_plan
+from hybrid.report.fleet import fleet_tables, lead_sentence, write_fleet_pages
+from hybrid.robot.library import robot_file
 
-HELP = """which arms of a fleet change, when, in what, and which are unlike the others
+HELP = """\
 PLAN is a YAML file: robot, arms (a folder with one folder of logs for each arm, or a
 table), and any of baseline, track, period, limits, payload, tool, group, time_limit,
 false_alarms, diagnose, joints, map. Dates come from the names of the logs. PLAN may be
@@ -30,7 +32,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("plan", type=Path, metavar="PLAN", help="YAML file, or folder")
     parser.add_argument(
         "--robot",
-        type=options.robot_file,
+        type=robot_file,
         metavar="FILE",
         help="the arms, if PLAN is a folder",
     )
@@ -46,15 +48,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="N",
         help="processes here (default: one a core)",
     )
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Run the fleet, write and show."""
-    from hybrid.fleets import fleet
-    from hybrid.fleets.plan import read_plan
-    from hybrid.report.fleet import fleet_tables, lead_sentence, write_fleet_pages
-
     plan = read_plan(args.plan, robot=args.robot)
     args.inputs += [args.plan] if args.plan.is_file() else []
     how = options.begin(args, [args.out / "report.html"])
@@ -75,8 +72,6 @@ def run(args: Namespace, screen: Screen) -> None:
     }
     whole = {"arm_months": found.arm_months, "shared": list(found.shared)}
     options.write_record(args, how, whole | content)
-    for table in tables.values():
-        if table.rows:
-            screen.show_words(table.filled())
+    screen.show(*(x.filled() for x in tables.values() if x.rows))
     screen.say(lead_sentence(found))
     screen.say(f"report: {page}")

@@ -1,20 +1,19 @@
 """``hybrid identify``: a dynamic model from recordings."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from hybrid import identification
 from hybrid.cli.shared import options, servos
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
+from hybrid.identification import Fit
+from hybrid.identification.three_stage import STAGES
+from hybrid.report.fit import content_from_fit, effects_table, held_out_table
+from hybrid.servo import ServoFit
 
-if TYPE_CHECKING:
-    from hybrid.identification import Fit
-    from hybrid.servo import ServoFit
-
-HELP = """identify the drive torque of an arm from recordings
+HELP = """\
 writes MODEL.json, one file with a hash of all that it says; shows the error of every
 stage on samples left out of the fit, what cannot be told from these recordings, and the
 effects found; warns of stages that did not help and of poor excitation.
@@ -49,6 +48,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--stages",
         type=options.names,
+        default=STAGES,
         metavar="LIST",
         help="of rigid, friction, ripple, remainder (default: all); rigid always runs",
     )
@@ -59,12 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="more effects whose gains shall be found, as effect[:joint[+joint]]"
         "[(shape=value;...)] between commas; see 'hybrid effects'",
     )
-    parser.add_argument(
-        "--cutoff",
-        type=options.positive,
-        metavar="HZ",
-        help="cut-off of columns and torque (default: from the spectrum)",
-    )
+    options.add_cutoff(parser)
     parser.add_argument(
         "--robust", action="store_true", help="weigh down stretches that do not fit"
     )
@@ -75,16 +70,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     servos.add_arguments(parser)
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Identify, save and show."""
-    from hybrid.identification import identify
-    from hybrid.identification.three_stage import STAGES
-    from hybrid.report.fit import content_from_fit
-
-    args.stages = args.stages or STAGES
     robot = options.load_robot(args)
     effects = options.load_effects(args.effects, robot)
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
@@ -101,7 +90,7 @@ def run(args: Namespace, screen: Screen) -> None:
         _save_servos(servos.fit(args, robot, recordings, screen), args, how, screen)
         return
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):
-        fit = identify(
+        fit = identification.identify(
             robot,
             recordings,
             estimator=args.estimator,
@@ -120,26 +109,20 @@ def run(args: Namespace, screen: Screen) -> None:
 
 
 def _show(fit: Fit, screen: Screen) -> None:
-    from hybrid.report.fit import effects_table, held_out_table
-
-    screen.show_numbers(held_out_table(fit))
+    screen.show(held_out_table(fit))
     if fit.unidentifiable:
         screen.say("unidentifiable:")
         for text in fit.unidentifiable[:_SHOWN]:
             screen.say(f"  {text}")
         if len(fit.unidentifiable) > _SHOWN:
             screen.say(f"  … and {len(fit.unidentifiable) - _SHOWN} more, see --json")
-    screen.show_words(effects_table(fit))
+    screen.show(effects_table(fit))
 
 
 def _save_servos(
     found: ServoFit, args: Namespace, how: dict[str, Any], screen: Screen
 ) -> None:
-    """Write the user's simulator with the servos found, and show them.
-
-    Raises:
-        HybridError: They replay unseen motion worse than the file's, as far as seen.
-    """
+    """Write the user's simulator with the servos found, if they replay no worse."""
     if found.after.mean() > found.before.mean() + found.floor.mean():
         raise HybridError(
             f"{found.robot.name}: servos found miss unseen motion by "

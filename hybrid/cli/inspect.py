@@ -1,15 +1,23 @@
 """``hybrid inspect``: what logs hold, what they tell, and what is wrong with them."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
+from hybrid.inspect import inspect_recording
+from hybrid.report.inspection import (
+    clocks_table,
+    doubts_table,
+    joints_table,
+    readings_tables,
+    untold_sentences,
+    verdict,
+    write_inspection,
+)
 
-HELP = """look at recordings before anything is fitted to them
+HELP = """\
 shows how each file was read, its clock, what every joint does, and what the logs cannot
 tell. With a robot, order, sign, unit and clock are held against physics. Exit code 2 if
 a log would mislead. Logs without torque are taken as well.
@@ -32,22 +40,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--page", type=Path, metavar="FILE.html", help="write all of it, with a picture"
     )
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Inspect, write and show; refuse what would mislead."""
-    from hybrid.inspect import inspect_recording
-    from hybrid.report.inspection import (
-        clocks_table,
-        doubts_table,
-        joints_table,
-        readings_tables,
-        untold_sentences,
-        verdict,
-        write_inspection,
-    )
-
     if args.page and args.page.suffix.lower() not in (".html", ".htm"):
         raise HybridError(f"{args.page}: a page is saved as .html")
     robot = options.load_robot(args) if args.robot else None
@@ -59,12 +55,8 @@ def run(args: Namespace, screen: Screen) -> None:
     options.write_record(args, how, {"logs": [x.as_dict() for x in found]})
     if args.page:
         write_inspection(args.page, found, provenance=how)
-    for table in (*readings_tables(found), clocks_table(found), joints_table(found)):
-        if table.rows:
-            screen.show_numbers(table)
-    doubts = doubts_table(found)
-    if doubts.rows:
-        screen.show_words(doubts)
+    screen.show(*readings_tables(found), clocks_table(found), joints_table(found))
+    screen.show(doubts_table(found))
     for sentence in untold_sentences(found):
         screen.say(sentence)
     screen.say(verdict(found))

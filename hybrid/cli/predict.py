@@ -1,14 +1,17 @@
 """``hybrid predict``: torque that a model gives along a recording."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+import numpy as np
+
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+from hybrid.identification import predict
+from hybrid.inspect import check_recordings
+from hybrid.recording.write import write_columns, writer_of
 
-HELP = """predict the drive torque along a recording
+HELP = """\
 writes the columns time (s) and tau_JOINT (N·m); the suffix of --out, .csv, .parquet or
 .npz, says how. The recording needs time and positions only. One with an irregular clock
 is resampled first.
@@ -25,17 +28,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
     options.add_recording(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Predict and write."""
-    import numpy as np
-
-    from hybrid.identification import predict
-    from hybrid.inspect import check_recordings
-    from hybrid.recording.write import write_columns, writer_of
-
     writer_of(args.out)
     model = options.load_model(args, args.model)
     joints = model.robot.joints

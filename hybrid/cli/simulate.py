@@ -1,15 +1,17 @@
 """``hybrid simulate``: recordings of a simulated arm with a known truth."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import warn
+from hybrid.plant import simulate
+from hybrid.plant.folder import TRUTH, content_from_plant, recording_paths, write_run
+from hybrid.recording.formats import kind_of
+from hybrid.recording.write import writer_of
 
-HELP = """simulate motions of an arm with effects that its file does not know
+HELP = """\
 writes DIR/trajectory_1.csv ... and DIR/truth.json, which holds the effects with their
 values. The same seed gives the same files.
 
@@ -32,30 +34,15 @@ def add_arguments(parser: ArgumentParser) -> None:
         "size; see 'hybrid effects' (default: none beside those of a truth)",
     )
     parser.add_argument("--trajectories", type=options.count, default=4, metavar="N")
-    parser.add_argument(
-        "--duration",
-        type=options.positive,
-        default=10.0,
-        metavar="S",
-        help="length of each trajectory, s (default 10)",
-    )
+    words = "length of each trajectory, s (default 10)"
+    options.add_number(parser, "--duration", "S", words, 10.0)
     parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--format", choices=("csv", "parquet", "npz"), default="csv")
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Simulate and write."""
-    from hybrid.plant import simulate
-    from hybrid.plant.folder import (
-        TRUTH,
-        content_from_plant,
-        recording_paths,
-        write_run,
-    )
-    from hybrid.recording.write import writer_of
-
     suffix = f".{args.format}"
     paths = recording_paths(args.out, args.trajectories, suffix)
     writer_of(paths[0])  # refuses what cannot be written
@@ -81,8 +68,6 @@ def run(args: Namespace, screen: Screen) -> None:
 
 def _warn_of_others(folder: Path, paths: list[Path]) -> None:
     # '--recordings DIR' would mix this run with what else lies there.
-    from hybrid.recording.formats import kind_of
-
     others = sorted(
         path.name
         for path in folder.iterdir()

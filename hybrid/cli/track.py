@@ -1,20 +1,21 @@
 """``hybrid track``: parameters followed sample by sample along a recording."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from time import perf_counter_ns
 
+import numpy as np
+
+from hybrid.arrays import Array
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+from hybrid.inspect import inspect_recording
+from hybrid.inspect.doubt import raise_or_warn
+from hybrid.online import OnlineIdentifier, Sample
+from hybrid.recording import Recording
+from hybrid.recording.write import write_columns, writer_of
 
-if TYPE_CHECKING:
-    from hybrid.arrays import Array
-    from hybrid.online import OnlineIdentifier
-    from hybrid.recording import Recording
-
-HELP = """track the parameters of a model along a recording, sample by sample
+HELP = """\
 as a controller would, in one pass: base parameters, gains of the effects, payloads
 grasped and dropped. Effects that change signals cannot be tracked; the learned
 remainder is left out. Writes the columns time (s), one of each parameter, and
@@ -39,25 +40,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
     options.add_recording(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="FILE")
-    parser.add_argument(
-        "--prior",
-        type=options.positive,
-        default=0.05,
-        metavar="SHARE",
-        help="relative standard deviation of the model's parameters (default: 0.05)",
-    )
-    options.add_common(parser)
+    words = "relative standard deviation of the model's parameters (default: 0.05)"
+    options.add_number(parser, "--prior", "SHARE", words, 0.05)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Track, write and show."""
-    import numpy as np
-
-    from hybrid.inspect import inspect_recording
-    from hybrid.inspect.doubt import raise_or_warn
-    from hybrid.online import OnlineIdentifier
-    from hybrid.recording.write import write_columns, writer_of
-
     writer_of(args.out)
     model = options.load_model(args, args.model)
     joints = model.robot.joints
@@ -95,18 +83,7 @@ def run(args: Namespace, screen: Screen) -> None:
 def _tracked(
     tracker: OnlineIdentifier, recording: Recording
 ) -> tuple[list[Array], list[dict[str, float]], list[int]]:
-    """Give all samples to a tracker.
-
-    Returns:
-        Rows of time, parameters and errors, changes with their masses, and the time of
-        each update, [ns].
-    """
-    from time import perf_counter_ns
-
-    import numpy as np
-
-    from hybrid.online import Sample
-
+    """Rows of time, parameters and errors; changes with masses; update times, [ns]."""
     every = max(1, round(recording.rate / _PER_SECOND))
     rows: list[Array] = []
     changes: list[dict[str, float]] = []

@@ -1,14 +1,15 @@
 """``hybrid validate``: errors of a model on recordings it has not seen."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+from hybrid.identification import validate
+from hybrid.model.dynamic_model import check_same_arm
+from hybrid.report import table_from_validation
 
-HELP = """score a model on recordings that it was not identified from
+HELP = """\
 shows the RMS torque error of the model and of its simpler versions, joint by joint,
 over samples at which the joint moves, and the noise floor where the recordings tell it.
 
@@ -27,15 +28,10 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
     options.add_recordings(parser)
-    options.add_common(parser)
 
 
 def run(args: Namespace, screen: Screen) -> None:
     """Validate and show."""
-    from hybrid.identification import validate
-    from hybrid.model.dynamic_model import check_same_arm
-    from hybrid.report import table_from_validation
-
     model = options.load_model(args, args.model)
     robot = options.load_robot(args) if args.robot else model.robot
     check_same_arm(model, robot)  # before a recording is blamed for it
@@ -44,7 +40,7 @@ def run(args: Namespace, screen: Screen) -> None:
     with screen.working(f"validating on {len(recordings)} recordings"):
         validation = validate(model, recordings, robot=robot)
     options.write_record(args, how, validation.as_dict())
-    screen.show_numbers(table_from_validation(validation))
+    screen.show(table_from_validation(validation))
     plain, last = validation.reference, validation.rows[-1]
     screen.say(
         f"{last.name}: {validation.reduction:.1%} less mean RMS than {plain.name}, "

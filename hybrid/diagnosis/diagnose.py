@@ -13,11 +13,10 @@ from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import findings
-from hybrid.diagnosis.answer.links import merged_links
+from hybrid.diagnosis.answer.links import delay_finding, merged_links
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.result import Result
-from hybrid.diagnosis.answer.shared_delay import delay_finding
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.evidence.convention import Convention
@@ -29,11 +28,13 @@ from hybrid.diagnosis.explanations.explanation import Explanation, explain, shar
 from hybrid.diagnosis.explanations.refit import refit
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.baseline import Baseline
-from hybrid.diagnosis.gap.coverage import not_excited
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.split import split
-from hybrid.diagnosis.gap.units import units
-from hybrid.diagnosis.gap.usability import too_little_motion, wrong_simulator
+from hybrid.diagnosis.gap.coverage import (
+    not_excited,
+    too_little_motion,
+    wrong_simulator,
+)
+from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.measure import split
 from hybrid.effects.delay import Delay
 from hybrid.identification.preparation import checked_logs
 from hybrid.model import DynamicModel

@@ -2,17 +2,19 @@
 
 from hybrid.report.fit import torque_figure
 from hybrid.report.output import (
+    Section,
     figure_bytes,
     provenance,
+    render_page,
     save_figure,
+    write_page,
     write_results,
 )
-from hybrid.report.page import Section, render_page, write_page
 from hybrid.report.table import (
     Table,
     markdown_table,
-    numbers_table,
     table_from_validation,
+    terminal_table,
 )
 
 __all__ = [
@@ -20,7 +22,7 @@ __all__ = [
     "Table",
     "figure_bytes",
     "markdown_table",
-    "numbers_table",
+    "terminal_table",
     "provenance",
     "render_page",
     "save_figure",

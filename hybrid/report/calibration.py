@@ -1,15 +1,11 @@
 """Show a kinematic calibration: tables, and content for JSON."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from hybrid.calibration import Calibration, Errors
 from hybrid.report.table import Table
-
-if TYPE_CHECKING:
-    from hybrid.calibration import Calibration, Errors
 
 # Factor and unit of numbers in tables.
 _SHOWN = {"m": (1e3, "mm"), "rad": (1e3, "mrad"), "rad/(N·m)": (1e6, "µrad/(N·m)")}
@@ -22,12 +18,8 @@ def errors_table(errors: Errors) -> Table:
     rows = []
     for kind, calibrated in errors.calibrated.items():
         factor, unit = _SHOWN[_UNIT[kind]]
-        numbers = [
-            factor * number
-            for sizes in (errors.nominal[kind], calibrated)
-            for number in _sizes(sizes).values()
-        ]
-        rows.append((f"{kind} [{unit}]", *(f"{x:.4g}" for x in numbers)))
+        both = *_sizes(errors.nominal[kind]).values(), *_sizes(calibrated).values()
+        rows.append((f"{kind} [{unit}]", *(f"{factor * x:.4g}" for x in both)))
     sizes_shown = ("median", "RMS", "largest")
     header = ("", *(f"{arm} {x}" for arm in ("nominal", "new") for x in sizes_shown))
     return Table(header, tuple(rows), "Error on poses left out of the fit")

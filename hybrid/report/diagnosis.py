@@ -1,29 +1,24 @@
 """Write the report of a diagnosis: a self-contained page, and JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.answer.diagnosis import Diagnosis
+from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.gap.gap import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report import diagnosis_text
 from hybrid.report.diagnosis_data import evidence_matrix, joint_curves, rms_table
 from hybrid.report.diagnosis_text import effect_name
 from hybrid.report.excitation import Postures
-from hybrid.report.output import provenance, write_results
-from hybrid.report.page import render_template
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.diagnosis import Diagnosis
-    from hybrid.diagnosis.answer.result import Result
+from hybrid.report.output import provenance, render_template, write_results
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 
@@ -35,12 +30,9 @@ _LIGHTNESS = (0.52, 0.66)  # in turn, so that colours differ without their hue a
 
 
 def write_diagnosis(result: Result, directory: str | Path) -> None:
-    """Write ``report.html`` and ``diagnosis.json``.
+    """Write ``report.html`` and ``diagnosis.json`` into a folder.
 
-    Args:
-        result: A diagnosis with its intermediate results. Without a provenance it gets
-            the versions of all packages.
-        directory: Folder; made if it is missing.
+    Without a provenance the diagnosis gets the versions of all packages.
     """
     directory, diagnosis = Path(directory), result.diagnosis
     if not diagnosis.provenance:
@@ -88,19 +80,17 @@ def render_diagnosis(result: Result) -> str:
 
 def _gap_rows(result: Result) -> tuple[list[dict[str, Any]], float]:
     """Gaps of each joint with widths of their bars, and the largest relative gap."""
-    table, joints = rms_table(result), result.diagnosis.joints
-    shares = [max(x["today"], x["after"]) / x["torque"] for x in table if x["torque"]]
+    rows: list[dict[str, Any]] = [*map(dict, rms_table(result))]
+    shares = [max(x["today"], x["after"]) / x["torque"] for x in rows if x["torque"]]
     longest = max(shares, default=1.0) or 1.0
-    rows: list[dict[str, Any]] = []
-    for i, (joint, row) in enumerate(zip(joints, table, strict=True)):
-        unit = units(result.gap.robot, [i])[1]
+    for i, row in enumerate(rows):
         # Bars are relative to each joint's torque, so that small joints are visible.
         whole = longest * row["torque"] or np.inf
         width = {k: 100 * min(1.0, x / whole) for k, x in row.items()}
-        above = np.sqrt(max(0.0, width["today"] ** 2 - width["noise"] ** 2)) / 100
-        rows.append(
-            {**row, "joint": joint, "unit": unit, "width": width, "above": above}
-        )
+        row["width"], row["joint"] = width, result.diagnosis.joints[i]
+        row["unit"] = units(result.gap.robot, [i])[1]
+        above = max(0.0, width["today"] ** 2 - width["noise"] ** 2)
+        row["above"] = np.sqrt(above) / 100
     return rows, longest
 
 

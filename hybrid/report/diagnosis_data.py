@@ -3,23 +3,21 @@
 Curves have few points, all of held-out samples.
 """
 
-from __future__ import annotations
-
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.units import units
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
-    from hybrid.diagnosis.explanations.explanation import Explanation
-    from hybrid.effects import Effect
+from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.explanations.explanation import Explanation
+from hybrid.diagnosis.gap.gap import units
+from hybrid.effects import Effect
+from hybrid.report.style import extremes
 
 MOST_POINTS = 1500  # of a curve or a scatter plot
 _DIGITS = 4
@@ -32,11 +30,7 @@ Index = NDArray[np.intp]
 
 
 def joint_curves(result: Result, i: int) -> dict[str, Any]:
-    """The gap of one joint over time, and over position, speed, acceleration and load.
-
-    Args:
-        result: A diagnosis with its intermediate results.
-        i: The joint.
+    """The gap of a joint over time, and over position, speed, acceleration and load.
 
     Returns:
         JSON-ready: ``name``, ``noise`` and its ``unit``; ``time``, abscissa and
@@ -76,25 +70,12 @@ def thin(
 ) -> list[list[float | None]]:
     """Reduce curves to their ends and the lowest and highest point of each interval.
 
-    ``None`` breaks the lines where samples are missing.
-
-    Args:
-        x: Abscissa, shape (N,).
-        curves: Ordinates, each of shape (N,).
-        rows: Index of each sample in the gap, shape (N,).
-        most: Largest number of points of a curve.
+    ``None`` breaks the lines where samples are missing, as their ``rows`` tell.
 
     Returns:
-        The abscissa and each ordinate, at the same points.
+        The abscissa and each ordinate, at the same points, at most ``most``.
     """
-    kept = np.arange(len(x))
-    if len(x) > most:
-        edges = np.linspace(0, len(x), most // 2).astype(int)
-        ends = [*zip(edges[:-1], edges[1:], strict=True)]
-        pairs = [
-            (a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends for y in curves
-        ]
-        kept = np.unique([(0, len(x) - 1), *pairs])
+    kept = extremes(curves, most)
     stretch = np.cumsum(np.diff(rows, prepend=rows[:1]) > 1)[kept]
     xs, *ys = (_short(values[kept]) for values in (x, *curves))
     for at in np.flatnonzero(np.diff(stretch))[::-1] + 1:
@@ -123,9 +104,9 @@ def _clouds(
     scored: Explanation, i: int, spots: Index, over: Mapping[str, Array]
 ) -> list[dict[str, Any]]:
     def cloud(effect: str, law: Array, shown: Array) -> dict[str, Any]:
-        own = {"effect": effect, "y": _short(after + law), "law": _short(law)}
         order = sorted(over, key=lambda name: _roughness(over[name], shown))
-        return {**own, "order": order}
+        y = _short(after + law)
+        return {"effect": effect, "y": y, "law": _short(law), "order": order}
 
     found, after = [], scored.after[i][spots]
     for effect in dict.fromkeys(term.place[0] for term in scored.terms):
@@ -157,11 +138,10 @@ def _short(x: Array) -> list[float | None]:
 
 
 def rms_table(result: Result) -> list[dict[str, float]]:
-    """RMS gap of each joint on held-out samples, [N·m].
+    """RMS gap of each joint ``today`` and ``after``, on held-out samples, [N·m].
 
-    Returns:
-        For each joint the gap ``today`` and ``after``, the ``noise``, and the RMS of
-        the measured ``torque``; zeros where the joint does not move.
+    With the ``noise`` and the RMS of measured ``torque``; 0 where the joint does not
+    move.
     """
     gap, scored = result.gap, result.scored
     return [
@@ -181,22 +161,17 @@ def _rms(x: Array) -> float:
 
 @dataclass(frozen=True)
 class Cell:
-    """Evidence of one effect at one joint, or at all joints.
+    """Evidence of one effect at one joint, or at all, as decimal logarithm of odds.
 
-    Attributes:
-        width: Number of joints that the cell covers.
-        joints: Names of these joints.
-        alone: Evidence of the effect alone, as the decimal logarithm of the odds.
-        beside: Evidence of the effect in addition to the findings; for a finding the
-            evidence that its removal loses.
-        named: Whether it is a finding.
+    In addition to the findings (``beside``), it is for a finding the evidence that its
+    removal loses.
     """
 
-    width: int
+    width: int  # number of joints that the cell covers
     joints: str
     alone: float
     beside: float
-    named: bool
+    named: bool  # whether it is a finding
 
 
 @dataclass(frozen=True)
@@ -216,9 +191,9 @@ class Matrix:
 def evidence_matrix(result: Result) -> Matrix:
     """Collect the evidence of every effect at every joint."""
     search, joints = result.search, result.gap.robot.joints
-    found: dict[tuple[str, tuple[int, ...]], float] = {}
+    found = defaultdict[tuple[str, tuple[int, ...]], float](float)
     for t in search.terms:  # several ripples may share a place
-        found[t.place] = max(found.get(t.place, 0.0), search.loss(t))
+        found[t.place] = max(found[t.place], search.loss(t))
     alone = {c.place: gain for c, gain in search.ranked(search.background)}
     beside = {c.place: gain for c, gain in search.ranked(search.base())} | found
     scopes = {t.place: t.candidate.effect for t in (*search.pool.tried, *search.terms)}

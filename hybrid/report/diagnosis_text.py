@@ -1,7 +1,5 @@
 """Put a diagnosis into sentences, for a page and for a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

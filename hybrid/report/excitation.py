@@ -20,8 +20,8 @@ from hybrid.report.style import (
     RED,
     clean,
     legend,
+    lines_figure,
     new_figure,
-    panels,
 )
 from hybrid.robot.geometry import capsules_from_robot
 from hybrid.robot.robot import Robot
@@ -38,27 +38,17 @@ _THICKEST = 24.0  # points
 
 @dataclass(frozen=True, eq=False)
 class Postures:
-    """K postures of an arm of n joints in the base frame.
+    """K postures of an arm of n joints in the base frame."""
 
-    Attributes:
-        joints: Origins of the base and the joints, shape (K, n + 1, 3), [m].
-        ends: End points of C capsules, shape (K, C, 2, 3), [m]; C is 0 if the robot
-            file has no geometry.
-        radius: Radii of the capsules, shape (C,), [m].
-    """
-
-    joints: Array
+    joints: Array  # origins of the base and the joints, shape (K, n + 1, 3), [m]
+    # End points of C capsules, shape (K, C, 2, 3), [m]; C is 0 if the robot file has no
+    # geometry.
     ends: Array
-    radius: Array
+    radius: Array  # radii of the capsules, shape (C,), [m]
 
     @classmethod
     def of(cls, robot: Robot, q: Array) -> Postures:
-        """Compute the postures of an arm.
-
-        Args:
-            robot: The arm.
-            q: Positions, shape (K, n), [rad or m].
-        """
+        """The postures of an arm at positions q, shape (K, n), [rad or m]."""
         origins = frames(robot.chain, q)[1].transpose(1, 0, 2)
         joints = np.concatenate([np.zeros((len(q), 1, 3)), origins], axis=1)
         try:
@@ -76,20 +66,19 @@ class Postures:
 
 
 def motion_figure(
-    reference: Reference, joints: Sequence[str], limits: Limits | None = None
+    reference: Reference, joints: Sequence[str], limits: Limits
 ) -> Figure:
     """Draw position and speed of every joint, with its limits."""
-    figure, cells = panels(joints, height=2.1, ratios=(1.4, 1.0))
-    for j, (above, below) in enumerate(cells):
-        above.plot(reference.t, reference.q[:, j], color=BLUE, linewidth=1.2)
-        below.plot(reference.t, reference.v[:, j], color=OTHERS[0], linewidth=1.0)
-        if limits is not None:
-            bounds = (limits.low[j], limits.high[j]), limits.speed[j]
-            for axes, pair in ((above, bounds[0]), (below, (-bounds[1], bounds[1]))):
-                for level in pair:
-                    axes.axhline(level, color=RED, linewidth=0.8, linestyle=":")
-        above.set_ylabel("position\n[rad]")
-        below.set_ylabel("speed\n[rad/s]")
+    rows = {
+        "position\n[rad]": [("", reference.q, BLUE, 1.2)],
+        "speed\n[rad/s]": [("", reference.v, OTHERS[0], 1.0)],
+    }
+    figure, cells = lines_figure(reference.t, joints, rows, 2.1, ratios=(1.4, 1.0))
+    bounds = (limits.low, limits.high), (-limits.speed, limits.speed)
+    for j, cell in enumerate(cells):
+        for axes, pair in zip(cell, bounds, strict=True):
+            for level in pair:
+                axes.axhline(level[j], color=RED, linewidth=0.8, linestyle=":")
     return figure
 
 
@@ -134,12 +123,7 @@ def _short(label: str) -> str:
     return f"{effect}, {joint}" if joint else label
 
 
-def postures_figure(
-    robot: Robot,
-    reference: Reference,
-    *,
-    count: int = 8,
-) -> Figure:
+def postures_figure(robot: Robot, reference: Reference, *, count: int = 8) -> Figure:
     """Draw the arm at equidistant times of a motion."""
     samples = np.linspace(0, len(reference.t) - 1, count).round().astype(int)
     postures = Postures.of(robot, reference.q[samples])

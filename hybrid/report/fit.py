@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
-from hybrid.report.style import BEST, OTHERS, PALE, legend, panels
+from hybrid.report.style import BEST, OTHERS, PALE, lines_figure
 from hybrid.report.table import Table, error_table
 from hybrid.signals import Motion, Sampler, motion_from_recording
 
@@ -142,16 +142,17 @@ def torque_figure(
         if torque.shape != shape:
             raise HybridError(f"{name} has shape {torque.shape}, valid is {shape}")
     inks = (*OTHERS[: len(predicted) - 1], BEST)
-    figure, cells = panels(joints, height=2.1, ratios=(2.2, 1.0))
-    for j, (above, below) in enumerate(cells):
-        above.plot(t, measured[:, j], color=PALE, linewidth=2.2, label="measured")
-        for (name, torque), ink in zip(predicted.items(), inks, strict=True):
-            above.plot(t, torque[:, j], color=ink, linewidth=0.9, label=name)
-            below.plot(t, measured[:, j] - torque[:, j], color=ink, linewidth=0.7)
-        above.set_ylabel("torque\n[N·m]")
-        below.set_ylabel("residual\n[N·m]")
-    legend(figure, cells[0][0].get_legend_handles_labels()[0])
-    return figure
+    pairs = list(zip(predicted.items(), inks, strict=True))
+    rows = {
+        "torque\n[N·m]": [
+            ("measured", measured, PALE, 2.2),
+            *((name, torque, ink, 0.9) for (name, torque), ink in pairs),
+        ],
+        "residual\n[N·m]": [
+            ("", measured - torque, ink, 0.7) for (_, torque), ink in pairs
+        ],
+    }
+    return lines_figure(t, joints, rows, 2.1, ratios=(2.2, 1.0))[0]
 
 
 def excerpt_figure(model: DynamicModel, recording: Recording) -> Figure:

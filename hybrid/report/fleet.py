@@ -19,7 +19,7 @@ from hybrid.files import atomic_path
 from hybrid.fleets import Fleet, State
 from hybrid.fleets.changes import MONTH, Change
 from hybrid.names import figure_text, file_stems
-from hybrid.report.page import Section, write_page
+from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, RED, new_figure, panels
 from hybrid.report.table import Table
 
@@ -56,12 +56,9 @@ def change_sentence(state: State, change: Change) -> str:
         )
     else:
         size = f"{change.size:+.3g} ± {half:.2g} {state.unit} on {_day(change.day)}"
-    between = (
-        f" ({_day(change.earliest)} to {_day(change.latest)})"
-        if change.latest > change.earliest
-        else ""
-    )
-    return f"{size}{between}, known {_day(change.alarm)}"
+    if change.latest > change.earliest:
+        size += f" ({_day(change.earliest)} to {_day(change.latest)})"
+    return f"{size}, known {_day(change.alarm)}"
 
 
 def forecast_text(state: State) -> str:
@@ -102,9 +99,8 @@ def unlike_table(fleet: Fleet) -> Table:
         )
         for x in fleet.states if x.unlike
     ]  # fmt: skip
-    return Table(
-        ("arm", "joint", "parameter", "value", "median of others"), tuple(rows)
-    )
+    header = ("arm", "joint", "parameter", "value", "median of others")
+    return Table(header, tuple(rows))
 
 
 def _median_of_others(fleet: Fleet, state: State) -> float:
@@ -118,13 +114,9 @@ def _median_of_others(fleet: Fleet, state: State) -> float:
 
 def diagnoses_table(fleet: Fleet, arm: str = "") -> Table:
     """Diagnoses against the baseline: all of one arm, or the last of each arm."""
-    shown = [x for x in fleet.diagnoses if x[0] == arm]
-    if not arm:
-        shown = list(
-            {name: (name, period) for name, period in fleet.diagnoses}.values()
-        )
+    last = {name: (name, period) for name, period in fleet.diagnoses}.values()
     rows = []
-    for key in shown:
+    for key in [x for x in fleet.diagnoses if x[0] == arm] if arm else last:
         verdict, *findings = fleet.diagnoses[key]
         reasons = " ".join(x["reason"] for x in findings)
         rows.append((*key, verdict["reason"].replace("_", " "), reasons))
@@ -313,28 +305,28 @@ def _linked(table: Table, pages: Mapping[str, str]) -> Table:
 
 def prometheus_text(fleet: Fleet) -> str:
     """Gauges in the text format of Prometheus."""
-    gauges: dict[str, list[tuple[dict[str, str], float]]] = {
-        "value": [], "value_std": [], "changed_score": [], "unlike": [],
-        "limit_days": [],
-    }  # fmt: skip
-    for x in fleet.states:
-        labels = {"arm": x.arm, "joint": x.joint, "parameter": x.parameter}
-        gauges["value"].append((labels, x.baseline + x.level.value))
-        gauges["value_std"].append((labels, x.level.std))
-        gauges["changed_score"].append((labels, x.score))
-        gauges["unlike"].append((labels, float(x.unlike)))
-        if np.isfinite(x.limit):
-            gauges["limit_days"].append((labels, x.crossing[0]))
-    refused: dict[str, int] = dict.fromkeys((x["arm"] for x in fleet.rows), 0)
-    for row in fleet.refused:
-        refused[row["arm"]] += 1
-    gauges["refused_periods"] = [({"arm": k}, float(n)) for k, n in refused.items()]
+
+    def labels(**named: str) -> str:
+        return ",".join(f'{k}="{_escaped(v)}"' for k, v in named.items())
+
+    states = [
+        (x, labels(arm=x.arm, joint=x.joint, parameter=x.parameter))
+        for x in fleet.states
+    ]
+    refused = Counter(x["arm"] for x in fleet.refused)
+    arms = dict.fromkeys(x["arm"] for x in fleet.rows)
+    gauges = {
+        "value": [(who, x.baseline + x.level.value) for x, who in states],
+        "value_std": [(who, x.level.std) for x, who in states],
+        "changed_score": [(who, x.score) for x, who in states],
+        "unlike": [(who, float(x.unlike)) for x, who in states],
+        "limit_days": [(w, x.crossing[0]) for x, w in states if np.isfinite(x.limit)],
+        "refused_periods": [(labels(arm=x), float(refused[x])) for x in arms],
+    }
     lines = []
     for name, found in gauges.items():
         lines.append(f"# TYPE hybrid_fleet_{name} gauge")
-        for labels, value in found:
-            text = ",".join(f'{k}="{_escaped(v)}"' for k, v in labels.items())
-            lines.append(f"hybrid_fleet_{name}{{{text}}} {_number(value)}")
+        lines += [f"hybrid_fleet_{name}{{{who}}} {_number(x)}" for who, x in found]
     return "\n".join(lines) + "\n"
 
 

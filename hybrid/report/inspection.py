@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.report.page import Section, write_page
-from hybrid.report.style import BLUE, GREY, PALE, legend, panels
+from hybrid.report.output import Section, write_page
+from hybrid.report.style import BLUE, GREY, PALE, lines_figure
 from hybrid.report.table import Table
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from hybrid.inspect import Inspection
     from hybrid.recording import Recording
     from hybrid.recording.reading import Used
-
-_BINS = 1000  # of a line; in each the lowest and the highest sample are drawn
 
 
 def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
@@ -141,31 +139,16 @@ def doubts_table(inspections: Sequence[Inspection]) -> Table:
 def log_figure(recording: Recording) -> Figure:
     """Draw position and command of every joint over time, and torque or speed below."""
     joints, t = recording.joints, recording.t - recording.t[0]
-    below = recording.tau if recording.has_torque else recording.v
-    name = "torque\n[N·m]" if recording.has_torque else "speed\n[rad/s]"
-    ratios = (1.0, 1.0) if below is not None else (1.0,)
-    figure, cells = panels(joints, height=0.85 * len(ratios) + 0.3, ratios=ratios)
-    for j, axes in enumerate(cells):
-        if recording.command is not None:
-            _line(axes[0], t, recording.command[:, j], PALE, "command", 2.0)
-        _line(axes[0], t, recording.q[:, j], BLUE, "position", 0.9)
-        axes[0].set_ylabel("position\n[rad]")
-        if below is not None:
-            _line(axes[1], t, below[:, j], GREY, name.split("\n")[0], 0.7)
-            axes[1].set_ylabel(name)
-    legend(figure, [line for axes in cells[0] for line in axes.get_lines()])
-    return figure
-
-
-def _line(axes: Any, t: Any, x: Any, ink: str, label: str, width: float) -> None:
-    """Draw a line of all samples, or of the extremes of bins if there are too many."""
-    per = len(t) // _BINS
-    if per > 2:
-        rows = len(t) // per * per
-        binned = x[:rows].reshape(-1, per)
-        both = np.stack([binned.min(axis=1), binned.max(axis=1)], axis=1)
-        t, x = np.repeat(t[:rows:per], 2), both.reshape(-1)
-    axes.plot(t, x, color=ink, linewidth=width, label=label)
+    position = [("position", recording.q, BLUE, 0.9)]
+    if recording.command is not None:
+        position.insert(0, ("command", recording.command, PALE, 2.0))
+    rows = {"position\n[rad]": position}
+    if recording.has_torque:
+        rows["torque\n[N·m]"] = [("torque", recording.tau, GREY, 0.7)]
+    elif recording.v is not None:
+        rows["speed\n[rad/s]"] = [("speed", recording.v, GREY, 0.7)]
+    ratios = (1.0,) * len(rows)
+    return lines_figure(t, joints, rows, 0.85 * len(rows) + 0.3, ratios)[0]
 
 
 def write_inspection(

@@ -1,11 +1,16 @@
-"""Write figures and JSON atomically; record versions and inputs."""
+"""Write pages, figures and JSON atomically; record versions and inputs.
+
+A page is self-contained HTML, which opens offline.
+"""
 
 from __future__ import annotations
 
 import platform
 import re
 import warnings
-from collections.abc import Mapping
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from io import BytesIO
 from pathlib import Path
@@ -14,11 +19,13 @@ from typing import TYPE_CHECKING, Any
 from hybrid import __version__
 from hybrid.errors import HybridError
 from hybrid.files import atomic_path, write_json
+from hybrid.report.table import Table
 from hybrid.shown import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_TEMPLATES = Path(__file__).parent / "pages"
 RESOLUTION = 150  # pixels per inch, of PNG files and of rasters inside SVG files
 
 
@@ -79,13 +86,8 @@ def write_results(path: str | Path, content: Mapping[str, Any]) -> None:
 def provenance(**given: Any) -> dict[str, Any]:
     """Versions of this package, of Python and of every core dependency.
 
-    There is no date, host or path, so that the same run gives the same record.
-
-    Args:
-        **given: Other inputs: seeds, hashes of files, the command.
-
-    Returns:
-        JSON-ready content; ``given`` comes first.
+    There is no date, host or path, so that the same run gives the same record. What is
+    ``given``, as seeds, hashes of files or the command, comes first.
     """
     return {
         **given,
@@ -108,3 +110,93 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "not installed"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of a page; every part but the title is optional."""
+
+    title: str
+    text: str = ""  # paragraphs, separated by empty lines; not markup
+    table: Table | None = None
+    figure: Figure | None = None
+    caption: str = ""  # caption of the figure, also for screen readers
+    command: str = ""  # command that reproduces the section
+
+    @property
+    def paragraphs(self) -> list[str]:
+        """Paragraphs of the text."""
+        return [part.strip() for part in self.text.split("\n\n") if part.strip()]
+
+    @property
+    def image(self) -> str:
+        """The figure as an SVG data URI; empty without a figure."""
+        if self.figure is None:
+            return ""
+        # Not inline SVG, where ids of two figures may be equal.
+        content = b64encode(figure_bytes(self.figure)).decode("ascii")
+        return f"data:image/svg+xml;base64,{content}"
+
+
+def write_page(
+    path: str | Path,
+    title: str,
+    sections: Sequence[Section],
+    *,
+    lead: str = "",
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a page atomically.
+
+    Args:
+        path: HTML file.
+        title: Heading, and title of the window.
+        sections: Sections, in order.
+        lead: Result in a sentence or two, under the heading.
+        provenance: Versions and inputs, for the foot of the page; see
+            :func:`hybrid.report.provenance`.
+    """
+    content = render_page(title, sections, lead=lead, provenance=provenance)
+    with atomic_path(Path(path)) as temporary:
+        temporary.write_text(content, encoding="utf-8")
+
+
+def render_page(
+    title: str,
+    sections: Sequence[Section],
+    *,
+    lead: str = "",
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """The page that :func:`write_page` writes."""
+    return render_template(
+        "page.html", title=title, lead=lead, sections=sections, provenance=provenance
+    )
+
+
+def render_template(
+    name: str, *, provenance: Mapping[str, Any] | None = None, **content: Any
+) -> str:
+    """Render a template; strings are escaped."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    lines = {name: _line(x) for name, x in (provenance or {}).items()}
+    made = [(name, line) for name, line in lines.items() if line]
+    return environment.get_template(name).render(provenance=made, **content)
+
+
+def _line(x: Any) -> str:
+    """A value for the foot of a page, in one line."""
+    if isinstance(x, Mapping):
+        return ", ".join(f"{name} {value}" for name, value in x.items())
+    if isinstance(x, Sequence) and not isinstance(x, str):
+        values = (y.values() if isinstance(y, Mapping) else [y] for y in x)
+        return ", ".join(" ".join(map(str, y)) for y in values)
+    return str(x)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hybrid.report.page import Section, write_page
-from hybrid.report.style import BLACK, BLUE, PALE, RED, legend, panels
+from hybrid.report.output import Section, write_page
+from hybrid.report.style import BLACK, BLUE, PALE, RED, lines_figure
 from hybrid.report.table import Table
 from hybrid.servo.drive import QUANTITIES
 
@@ -68,19 +68,13 @@ def servos_table(fit: ServoFit) -> Table:
 
 def replay_figure(replay: ServoReplay, joints: Sequence[str]) -> Figure:
     """Draw the position of every joint, measured and replayed."""
-    figure, cells = panels(joints, height=1.6)
-    for j, (axes,) in enumerate(cells):
-        lines = (
-            (replay.command, PALE, 1.8, "command"),
-            (replay.before, RED, 0.8, "simulator, file"),
-            (replay.after, BLUE, 1.0, "simulator, found"),
-            (replay.q, BLACK, 0.9, "measured"),
-        )
-        for x, ink, width, name in lines:
-            axes.plot(replay.t, x[:, j], color=ink, linewidth=width, label=name)
-        axes.set_ylabel("position [rad]")
-    legend(figure, cells[0][0].get_legend_handles_labels()[0])
-    return figure
+    curves = [
+        ("command", replay.command, PALE, 1.8),
+        ("simulator, file", replay.before, RED, 0.8),
+        ("simulator, found", replay.after, BLUE, 1.0),
+        ("measured", replay.q, BLACK, 0.9),
+    ]
+    return lines_figure(replay.t, joints, {"position [rad]": curves}, 1.6)[0]
 
 
 def write_servo_page(

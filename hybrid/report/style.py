@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
 from hybrid.names import figure_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Curve = tuple[str, Array, str, float]  # name, values (N, n), colour, width in points
 
 BLACK = "#1a1a1a"
 GREY = "#8c8c8c"
@@ -35,6 +40,7 @@ OTHERS = ("#e69f00", "#56b4e9")
 
 WIDTH = 7.2  # inches: the text width of a page
 _NAMES_A_LINE = 7  # of a legend, at most
+_MOST_POINTS = 3000  # of a line
 _GRID = "#e3e3e3"
 
 
@@ -60,7 +66,7 @@ def panels(
     label: str = "time [s]",
     size: float = 9,
 ) -> tuple[Figure, list[list[Axes]]]:
-    """A figure of panels in two columns, usually one panel per joint.
+    """A figure of panels in two columns, usually one per joint, and the axes of each.
 
     Args:
         titles: Title of each panel.
@@ -68,9 +74,6 @@ def panels(
         ratios: Heights of the axes in a panel, from top to bottom.
         label: Label of the horizontal axis, below each column.
         size: Size of the titles, in [point].
-
-    Returns:
-        The figure, and the axes of each panel.
     """
     columns = min(2, len(titles))
     rows = -(-len(titles) // columns)
@@ -95,6 +98,47 @@ def panels(
         panel[-1].set_xlabel(label)
     figure.align_ylabels()
     return figure, cells
+
+
+def lines_figure(
+    t: Array,
+    joints: Sequence[str],
+    rows: Mapping[str, Sequence[Curve]],
+    height: float,
+    ratios: tuple[float, ...] = (1.0,),
+) -> tuple[Figure, list[list[Axes]]]:
+    """Draw curves of every joint over time, with a legend of those that have a name.
+
+    ``rows`` are curves by the label of their axes, from top to bottom. See
+    :func:`panels`.
+    """
+    figure, cells = panels(joints, height, ratios)
+    for j, cell in enumerate(cells):
+        for axes, (label, curves) in zip(cell, rows.items(), strict=True):
+            for name, x, ink, width in curves:
+                k = extremes([x[:, j]], _MOST_POINTS)
+                axes.plot(t[k], x[k, j], color=ink, linewidth=width, label=name)
+            axes.set_ylabel(label)
+    named = [x for axes in cells[0] for x in axes.get_legend_handles_labels()[0]]
+    if named:
+        legend(figure, named)
+    return figure, cells
+
+
+def extremes(curves: Sequence[Array], most: int) -> NDArray[np.intp]:
+    """The ends of curves, and the lowest and highest point of each in every interval.
+
+    Where there are at most ``most`` samples, these are all.
+    """
+    size = len(curves[0])
+    if size <= most:
+        return np.arange(size)
+    edges = np.linspace(0, size, most // 2).astype(int)
+    ends = [*zip(edges[:-1], edges[1:], strict=True)]
+    pairs = [
+        (a + y[a:b].argmin(), a + y[a:b].argmax()) for a, b in ends for y in curves
+    ]
+    return np.unique([(0, size - 1), *pairs])
 
 
 def clean(axes: Axes, grid: Literal["x", "y", "both"]) -> None:

@@ -1,20 +1,17 @@
 """Tables of results, as text for a page, a terminal or Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Self
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table as RichTable
+from rich.text import Text
 
 from hybrid.arrays import Array
+from hybrid.identification import Validation
 from hybrid.names import markdown
-
-if TYPE_CHECKING:
-    from rich.table import Table as RichTable
-
-    from hybrid.identification import Validation
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class Table:
     caption: str = ""
     words: bool = False
 
-    def filled(self) -> Table:
+    def filled(self) -> Self:
         """The table without its empty columns."""
         kept = [
             k for k, column in enumerate(zip(*self.rows, strict=True)) if any(column)
@@ -85,15 +82,14 @@ def error_table(
     )
 
 
-def numbers_table(table: Table) -> RichTable:
-    """A table of numbers for a terminal; rows with an empty last cell are dim."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table as RichTable
-    from rich.text import Text
+def terminal_table(table: Table) -> RichTable:
+    """A table for a terminal: only a last column of words folds.
 
+    Rows of numbers with an empty last cell are dim.
+    """
     rich = RichTable(
         box=SIMPLE_HEAD,
-        title=Text(table.caption),
+        title=Text(table.caption) if table.caption else None,
         title_justify="left",
         title_style="bold",
         pad_edge=False,
@@ -101,12 +97,12 @@ def numbers_table(table: Table) -> RichTable:
     for k, title in enumerate(table.header):
         rich.add_column(
             Text(title),
-            justify="right" if k else "left",
-            no_wrap=True,
+            justify="right" if k and not table.words else "left",
+            no_wrap=not table.words or k < len(table.header) - 1,
             style="bold" if title == "mean" else None,
         )
     for row in table.rows:
-        is_model = bool(row[-1])
+        is_model = table.words or bool(row[-1])
         # As Text, where brackets in a joint's name are no markup.
         rich.add_row(*map(Text, row), style=None if is_model else "dim")
     return rich

@@ -3,18 +3,17 @@
 Links are drawn as capsules, in the base frame, [m].
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.replay import simulated_positions
+from hybrid.diagnosis.answer.result import Result
 from hybrid.dynamics.kinematics import frames
 from hybrid.errors import HybridError, RobotError
 from hybrid.extras import check_extra
@@ -23,10 +22,7 @@ from hybrid.report.diagnosis_data import continuous_time
 from hybrid.report.style import BLUE, GREY, RED
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 from hybrid.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
-    from hybrid.servo.servo_fit import ServoReplay
+from hybrid.servo.servo_fit import ServoReplay
 
 _MEASURED, _FILE, _FOUND = "measured", "as the file stands", "with what was found"
 _INKS = {_MEASURED: GREY, _FILE: RED, _FOUND: BLUE}
@@ -37,17 +33,12 @@ _RADIUS = 0.02  # of the arm's length, of links without geometry
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Measured and simulated motion of an arm, N samples.
-
-    Attributes:
-        robot: The arm.
-        t: Time, shape (N,), [s].
-        curves: Curves of the joints by kind and source, shape (N, n): positions,
-            [rad or m], torques and gaps, [N·m]; NaN where they are not known.
-    """
+    """Measured and simulated motion of an arm, N samples."""
 
     robot: Robot
-    t: Array
+    t: Array  # time, shape (N,), [s]
+    # Curves of the joints by kind and source, shape (N, n): positions, [rad or m],
+    # torques and gaps, [N·m]; NaN where they are not known.
     curves: Mapping[str, Mapping[str, Array]]
 
     @property
@@ -62,12 +53,10 @@ class Scene:
                 yield kind, name, x
 
     def poses(self, name: str) -> tuple[Array, Array]:
-        """Quaternions (x, y, z, w) and origins of all links in the base frame.
+        """Quaternions (x, y, z, w), (n, N, 4), and origins of links, (n, N, 3), [m].
 
-        Where a simulator was not replayed, the measured position is taken.
-
-        Returns:
-            Shapes (n, N, 4) and (n, N, 3), [m].
+        They are in the base frame. Where a simulator was not replayed, the measured
+        position is taken.
         """
         q = self.q[name]
         q = np.where(np.isnan(q), self.q[_MEASURED], q)
@@ -87,8 +76,8 @@ class Scene:
             own = capsules.link == k
             ends = capsules.ends[own]
             axis = ends[:, 1] - ends[:, 0]
-            length = np.linalg.norm(axis, axis=1)
             turns = np.array([_rotation_to(x) for x in axis])
+            length = np.linalg.norm(axis, axis=1)
             yield k, ends, capsules.radius[own], length, turns
 
     def _capsules(self) -> Capsules:
@@ -104,10 +93,9 @@ class Scene:
 
 def _rotation_to(axis: Array) -> Array:
     """Quaternion (x, y, z, w) that rotates the z axis along a vector."""
-    rotation = Rotation.identity()
-    if axis.any():
-        rotation, _ = Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])
-    return np.asarray(rotation.as_quat())
+    if not axis.any():
+        return np.array([0.0, 0.0, 0.0, 1.0])
+    return np.asarray(Rotation.align_vectors([axis], [[0.0, 0.0, 1.0]])[0].as_quat())
 
 
 def scene_of_diagnosis(result: Result) -> Scene:
@@ -234,10 +222,7 @@ def write_mcap(scene: Scene, path: str | Path) -> None:
         for kind, name, x in scene.each()
     ]
     poses = {name: scene.poses(name) for name in scene.q}
-    with (
-        atomic_path(path) as temporary,
-        foxglove.open_mcap(temporary, context=apart),
-    ):
+    with atomic_path(path) as temporary, foxglove.open_mcap(temporary, context=apart):
         entities = [x for name in scene.q for x in _entities(scene, name)]
         drawn.log(SceneUpdate(entities=entities), log_time=stamps[0])
         for i, stamp in enumerate(stamps):
@@ -257,22 +242,28 @@ def _frame(scene: Scene, name: str, k: int) -> str:
     return f"{name}/{scene.robot.joints[k]}" if k >= 0 else _BASE
 
 
+def _placed(place: Array, turn: Array) -> tuple[Any, Any]:
+    """An origin and a quaternion (x, y, z, w) as messages."""
+    from foxglove import messages as m
+
+    origin = m.Vector3(**dict(zip("xyz", place.tolist(), strict=True)))
+    return origin, m.Quaternion(**dict(zip("xyzw", turn.tolist(), strict=True)))
+
+
 def _transforms(
     scene: Scene, name: str, turn: Array, place: Array, stamp: int
-) -> list[Any]:
+) -> Iterator[Any]:
     """Poses of the links at one time, from quaternions (n, 4) and origins (n, 3)."""
     from foxglove import messages as m
 
-    return [
-        m.FrameTransform(
+    for k, pose in enumerate(map(_placed, place, turn)):
+        yield m.FrameTransform(
             timestamp=m.Timestamp(*divmod(stamp, 10**9)),
             parent_frame_id=_BASE,
             child_frame_id=_frame(scene, name, k),
-            translation=m.Vector3(**dict(zip("xyz", p, strict=True))),
-            rotation=m.Quaternion(**dict(zip("xyzw", q, strict=True))),
+            translation=pose[0],
+            rotation=pose[1],
         )
-        for k, (q, p) in enumerate(zip(turn.tolist(), place.tolist(), strict=True))
-    ]
 
 
 def _entities(scene: Scene, name: str) -> Iterator[Any]:
@@ -280,10 +271,8 @@ def _entities(scene: Scene, name: str) -> Iterator[Any]:
     from foxglove import messages as m
 
     def pose(place: Array, turn: Array) -> Any:
-        return m.Pose(
-            position=m.Vector3(**dict(zip("xyz", place.tolist(), strict=True))),
-            orientation=m.Quaternion(**dict(zip("xyzw", turn.tolist(), strict=True))),
-        )
+        origin, turned = _placed(place, turn)
+        return m.Pose(position=origin, orientation=turned)
 
     red, green, blue = (x / 255 for x in _rgb(name))
     color = m.Color(r=red, g=green, b=blue, a=_OPACITY)

@@ -1,48 +1,35 @@
 """Arguments that several verbs share, and functions that load what they name."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any
 
 from hybrid.cli.shared.screen import Screen
+from hybrid.effects import Effect, effects_from_text
 from hybrid.errors import HybridError
 from hybrid.files import output_fault
-
-if TYPE_CHECKING:
-    from hybrid.effects import Effect
-    from hybrid.model import DynamicModel
-    from hybrid.plant import Plant
-    from hybrid.recording import Recording
-    from hybrid.robot import Robot
+from hybrid.model import DynamicModel
+from hybrid.plant import Plant, load_truth
+from hybrid.plant.scale import joint_scales
+from hybrid.recording import Recording, read, read_all
+from hybrid.report import provenance, write_results
+from hybrid.robot import Robot
+from hybrid.robot.library import robot_file
 
 LOGS = (
     "ROS 2 bags (folder, .mcap, .db3), ROS 1 .bag, LeRobot datasets, .csv(.gz), .tsv, "
     ".parquet, .npz, .h5, .mat"
 )
 _NOT_SETTINGS = {
-    "verb", "parser", "inputs", "robot", "recordings", "recording", "model",
+    "verb", "run", "parser", "inputs", "robot", "recordings", "recording", "model",
     "baseline", "effects_from", "out", "json", "rerun", "seed", "poses",
     "page", "plan", "scheduler", "workers",
 }  # fmt: skip
-
-
-class Parser(ArgumentParser):
-    """An argument parser that reports an error as one line with what is valid."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(allow_abbrev=False, **options)
-
-    def error(self, message: str) -> NoReturn:
-        """See :meth:`argparse.ArgumentParser.error`."""
-        if "choose from" not in message:
-            message += f"; {' '.join(self.format_usage().split())}"
-        raise HybridError(message)
 
 
 def add_robot(parser: ArgumentParser, *, required: bool = True, more: str = "") -> None:
@@ -90,6 +77,25 @@ def add_recording(parser: ArgumentParser) -> None:
     add_map(parser)
 
 
+def add_number(
+    parser: ArgumentParser,
+    name: str,
+    metavar: str,
+    words: str,
+    default: float | None = None,
+) -> None:
+    """Add an option that takes a number above zero."""
+    parser.add_argument(
+        name, type=positive, default=default, metavar=metavar, help=words
+    )
+
+
+def add_cutoff(parser: ArgumentParser) -> None:
+    """Add ``--cutoff``."""
+    words = "cut-off of columns and torque (default: from the spectrum)"
+    add_number(parser, "--cutoff", "HZ", words)
+
+
 def add_map(parser: ArgumentParser) -> None:
     """Add ``--map``."""
     parser.add_argument(
@@ -110,14 +116,9 @@ def read_logs(
 ) -> list[Recording]:
     """Read the logs of ``--recordings`` or ``--recording``.
 
-    Args:
-        args: Parsed arguments.
-        screen: Shows the progress.
-        joints: Joint names of the robot, base to tip; None if not known.
-        torque: Refuse a log without torque.
+    ``joints`` are those of the robot, base to tip, if known; with ``torque`` a log
+    without it is refused.
     """
-    from hybrid.recording import read, read_all
-
     one = getattr(args, "recording", None)
     with screen.working("reading recordings") as tell:
         options: dict[str, Any] = {"joints": joints, "map": args.map, "torque": torque}
@@ -132,37 +133,12 @@ def read_logs(
     return found
 
 
-def add_common(parser: ArgumentParser) -> None:
-    """Add ``--effects-from`` and ``--json``."""
-    parser.add_argument(
-        "--effects-from",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE.py",
-        help="load effects of your own from a Python file; may be repeated",
-    )
-    parser.add_argument(
-        "--json",
-        type=Path,
-        metavar="FILE",
-        help="write the results, and how they came about, for other programs",
-    )
-
-
 def names(text: str) -> tuple[str, ...]:
     """Names between commas."""
     found = tuple(name.strip() for name in text.split(","))
     if not all(found):
         raise ArgumentTypeError(f"{text!r} is not names between commas")
     return found
-
-
-def robot_file(text: str) -> Path:
-    """Find the file of a robot by its path or name."""
-    from hybrid.robot.library import robot_file
-
-    return robot_file(text)
 
 
 def positions(text: str) -> dict[str, float]:
@@ -206,26 +182,18 @@ def whole(text: str) -> int:
 
 def load_robot(args: Namespace) -> Robot:
     """The arm of ``--robot``, ``--joints`` and ``--hold``."""
-    from hybrid.robot import Robot
-
     args.inputs.append(args.robot)
     return Robot.load(args.robot, joints=args.joints, held=args.hold)
 
 
 def load_model(args: Namespace, path: Path) -> DynamicModel:
     """The model of ``--model`` or ``--baseline``."""
-    from hybrid.model import DynamicModel
-
     args.inputs.append(path)
     return DynamicModel.load(path)
 
 
 def load_plant(args: Namespace) -> Plant:
     """Load the arm to simulate from a robot file or a truth, and add ``--effects``."""
-    from dataclasses import replace
-
-    from hybrid.plant import Plant, load_truth
-
     if args.robot.suffix.lower() not in (".yaml", ".yml"):
         robot = load_robot(args)
         return Plant(robot, load_effects(args.effects, robot))
@@ -242,9 +210,6 @@ def load_plant(args: Namespace) -> Plant:
 
 def load_effects(text: str, robot: Robot) -> list[Effect]:
     """Effects of ``--effects``, at their usual size for the arm."""
-    from hybrid.effects import effects_from_text
-    from hybrid.plant.scale import joint_scales
-
     return effects_from_text(text, robot.joints, joint_scales(robot))
 
 
@@ -282,8 +247,6 @@ def begin(args: Namespace, outputs: Iterable[Path | None] = ()) -> dict[str, Any
     Raises:
         HybridError: An output cannot be written, see :func:`check_outputs`.
     """
-    from hybrid.report import provenance
-
     check_outputs([*outputs, args.json], args.inputs)
     given = vars(args)
     seed = {"seed": given["seed"]} if "seed" in given else {}
@@ -308,10 +271,8 @@ def sha256(path: Path) -> str:
 
 
 def write_record(
-    args: Namespace, provenance: Mapping[str, Any], content: Mapping[str, Any]
+    args: Namespace, how: Mapping[str, Any], content: Mapping[str, Any]
 ) -> None:
-    """Write results to ``--json``, if it was given."""
-    from hybrid.report import write_results
-
+    """Write results with their provenance to ``--json``, if it was given."""
     if args.json:
-        write_results(args.json, {**content, "provenance": provenance})
+        write_results(args.json, {**content, "provenance": how})

@@ -1,23 +1,19 @@
 """The terminal: results on stdout, everything about the run on stderr."""
 
-from __future__ import annotations
-
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress as Bar
+from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from hybrid.errors import HybridWarning
 from hybrid.progress import Progress
-
-if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    from hybrid.report import Table
+from hybrid.report.table import Table, terminal_table
 
 _WIDTH_OF_A_FILE = 160  # characters
 _SHORT = 1.0  # s: a shorter step gets no line of its own in a file
@@ -35,43 +31,31 @@ class Screen:
         """Show a line of results, however long."""
         self._out.print(text, soft_wrap=True)
 
-    def show(self, content: RenderableType) -> None:
-        """Show results folded to the terminal."""
-        self._print(content, self._out.width)
+    def show(self, *tables: Table) -> None:
+        """Show tables that have rows.
 
-    def show_numbers(self, table: Table) -> None:
-        """Show a table of numbers; a narrow terminal wraps it, no digit is lost."""
-        from hybrid.report import numbers_table
-
-        rich, options = numbers_table(table), self._out.options.update(width=1000)
-        width = self._out.measure(rich, options=options).maximum
-        self._print(rich, max(width, self._out.width))
-
-    def _print(self, content: RenderableType, width: int) -> None:
-        before, self._out.width = self._out.width, width
-        with self._out.capture() as captured:
-            self._out.print(content, crop=False, soft_wrap=True)
-        self._out.width = before
-        lines = captured.get().splitlines()
-        print("\n".join(line.rstrip() for line in lines))  # rich pads them
-
-    def show_words(self, table: Table) -> None:
-        """Show a table of text, its last column folded."""
-        self.show(words_table(table.header, table.rows, title=table.caption))
+        The last column of words is folded to the terminal. A narrow terminal wraps
+        lines of numbers, so that no digit is lost.
+        """
+        before = self._out.width
+        for table in (x for x in tables if x.rows):
+            rich, options = terminal_table(table), self._out.options.update(width=1000)
+            if not table.words:
+                widest = self._out.measure(rich, options=options).maximum
+                self._out.width = max(widest, before)
+            with self._out.capture() as captured:
+                self._out.print(rich, crop=False, soft_wrap=True)
+            self._out.width = before
+            lines = captured.get().splitlines()
+            print("\n".join(line.rstrip() for line in lines))  # rich pads them
 
     @contextmanager
     def working(self, text: str) -> Iterator[Progress]:
         """Show what is being done, for how long, and how long it will take.
 
-        A terminal shows one line that changes. Elsewhere each step is a line, but for
-        steps of less than a second.
-
-        Yields:
-            A function that receives each step.
+        A terminal shows one line that changes. Elsewhere each step that takes more than
+        a second is a line. The function that is yielded receives each step.
         """
-        from rich.progress import Progress as Bar
-        from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
-
         description = TextColumn("{task.description}", markup=False)
         is_terminal, start = self._err.is_terminal, monotonic()
         last = start
@@ -123,35 +107,7 @@ def _left(elapsed: float, done: float | None) -> str:
     return f" (about {elapsed * (1.0 - done) / done:.0f} s left)"
 
 
-def words_table(
-    header: Sequence[str],
-    rows: Sequence[Sequence[str | Text]],
-    *,
-    title: str | None = None,
-) -> RichTable:
-    """A table of text; only its last column folds."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    table = RichTable(
-        box=SIMPLE_HEAD,
-        title=None if title is None else Text(title),
-        title_justify="left",
-        title_style="bold",
-        pad_edge=False,
-    )
-    for k, name in enumerate(header):
-        table.add_column(Text(name), no_wrap=k < len(header) - 1)
-    for row in rows:
-        # As Text, so that a bracket in a name is not taken for markup.
-        table.add_row(*(Text(x) if isinstance(x, str) else x for x in row))
-    return table
-
-
 def _console(*, stderr: bool = False) -> Console:
-    from rich.console import Console
-
     console = Console(stderr=stderr, highlight=False, markup=False, emoji=False)
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = _WIDTH_OF_A_FILE

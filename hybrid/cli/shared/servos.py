@@ -1,19 +1,15 @@
 """Logs without torque, which ``hybrid identify`` and ``hybrid diagnose`` both take."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
-
-if TYPE_CHECKING:
-    from hybrid.recording import Recording
-    from hybrid.robot import Robot
-    from hybrid.servo import ServoFit
+from hybrid.recording import Recording
+from hybrid.report.servo import findings_table, gap_table, servos_table
+from hybrid.robot import Robot
+from hybrid.servo import ServoFit, fit_servo, without_torque
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -40,8 +36,6 @@ def check_arguments(args: Namespace, recordings: Sequence[Recording]) -> bool:
         HybridError: They have, and an argument needs logs that have not; or there is no
             GPU.
     """
-    from hybrid.servo import without_torque
-
     if without_torque(recordings):
         if args.gpu:
             from hybrid.servo.accelerated import check_gpu
@@ -64,25 +58,15 @@ def fit(
     args: Namespace, robot: Robot, recordings: Sequence[Recording], screen: Screen
 ) -> ServoFit:
     """Fit the servos of an arm as the arguments say."""
-    from hybrid.servo import fit_servo
-
     with screen.working(f"fitting the servos of {robot.name}") as tell:
         return fit_servo(
-            robot,
-            recordings,
-            known_mass=args.known_mass,
-            gpu=args.gpu,
-            progress=tell,
+            robot, recordings, known_mass=args.known_mass, gpu=args.gpu, progress=tell
         )
 
 
 def show(found: ServoFit, screen: Screen) -> None:
     """Show replay errors, wrong parameters of the file, and what is not known."""
-    from hybrid.report.servo import findings_table, gap_table, servos_table
-
-    for table in (gap_table(found), findings_table(found), servos_table(found)):
-        if table.rows:
-            screen.show_numbers(table)
+    screen.show(gap_table(found), findings_table(found), servos_table(found))
     for note in found.notes:
         screen.say(f"Note: {note}.")
     screen.say(found.sentence)

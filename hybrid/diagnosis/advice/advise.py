@@ -1,11 +1,10 @@
 """Advise experiments that distinguish candidate effects."""
 
-from __future__ import annotations
-
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,20 +12,19 @@ from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
     Rival,
+    WhitenedColumns,
+    decimated,
     fit_rival,
     required_evidence,
     tried_shapes,
 )
-from hybrid.diagnosis.advice.whitened import WhitenedColumns, decimated
 from hybrid.diagnosis.answer.diagnosis import Advice
+from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.effects import Port, effect_class
 from hybrid.excitation.folder import write_reference
 from hybrid.threads import one_thread
-
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
 
 _MARGIN = 1.2  # times the required evidence
 _MOST_PAIRS = 6
@@ -63,7 +61,7 @@ class Plan:
 def advise(
     result: Result, rng: np.random.Generator, *, directory: str | Path | None = None
 ) -> tuple[Advice, ...]:
-    """Advise experiments, most useful first.
+    """Advise experiments, most useful first; none if nothing is left to tell.
 
     If another effect explains as much as a finding, the safe experiment with the
     largest separation of the two is taken, if it distinguishes them. For an
@@ -75,9 +73,6 @@ def advise(
         rng: Random generator of motions.
         directory: A folder that exists, for references as CSV files (time, position,
             speed, acceleration); nothing is written by default.
-
-    Returns:
-        Advice; none if everything is explained and distinguished.
     """
     rate = min(_RATE, 1.0 / result.gap.period)
     menu = Menu(result.gap.robot, rng, rate=rate)
@@ -135,8 +130,8 @@ def _between(result: Result, discriminations: Discriminations) -> Iterator[Plan]
     """An experiment for each pair of a term and a candidate that explains as much."""
     search, joints = result.search, result.gap.robot.joints
     pairs = [(term, c) for term, others in result.rivals.items() for c in others]
-    own: dict[int, Rival] = {}
-    chosen: dict[int, list[Experiment]] = {}
+    rival = cache(partial(fit_rival, search))
+    chosen = defaultdict[Term, list[Experiment]](list)
     for term, other in pairs[:_MOST_PAIRS]:
         one, two = term.candidate.effect, other.effect
         # Laws with the same torque on every motion are told apart by hand.
@@ -146,12 +141,9 @@ def _between(result: Result, discriminations: Discriminations) -> Iterator[Plan]
             ids = tuple(sorted((term.place[0], other.place[0])))
             yield Plan(Advice(text, ids, 0.0))
             continue
-        key = id(term)
-        if key not in own:
-            own[key], chosen[key] = fit_rival(search, term, term.candidate), []
-        both = own[key], fit_rival(search, term, other)
+        both = rival(term, term.candidate), rival(term, other)
         at = dict.fromkeys(c.place[1][-1] for c in (term, other))
-        plan = choose(discriminations, tuple(at), both, chosen[key])
+        plan = choose(discriminations, tuple(at), both, chosen[term])
         if plan is not None:
             yield plan if len(at) == 1 else _placed(search, plan, (term, other))
 
@@ -173,20 +165,12 @@ def choose(
     rivals: tuple[Rival, Rival],
     chosen: list[Experiment],
 ) -> Plan | None:
-    """Choose the experiment that distinguishes two rivals best.
+    """Choose the experiment that distinguishes two rivals best, if one does.
 
-    Experiments that are advised already are tried first, then those without
-    preparation, then the rest. If a law is a limit of the other, an experiment may
-    confirm only one of them; it is chosen if no experiment distinguishes both.
-
-    Args:
-        discriminations: The discrimination of each experiment.
-        joints: Joints of the rivals.
-        rivals: Two explanations.
-        chosen: Experiments that are advised already; the new one is added.
-
-    Returns:
-        The advice; None if no experiment brings enough evidence.
+    Experiments that are ``chosen`` already are tried first, then those without
+    preparation, then the rest; a new one is added to them. If a law is a limit of the
+    other, an experiment may confirm only one of them; it is chosen if no experiment
+    distinguishes both.
     """
     splits = rivals[0].effect.id, rivals[1].effect.id
     warm = any(effect_class(x).warms for x in splits)
@@ -239,13 +223,11 @@ def _for_not_excited(result: Result, menu: Menu) -> Iterator[Plan]:
     """A ladder of speeds for joints that did not move, or in one direction only."""
     count = 0
     for j, name in enumerate(result.gap.robot.joints):
-        excited = not any(
+        still = any(
             text == name or text.startswith((f"{name} does", f"{name} moving"))
             for text in result.diagnosis.not_excited
         )
-        if excited or count >= _MOST_JOINTS:
-            continue
-        for experiment in menu.ladder(j):
+        for experiment in menu.ladder(j) if still and count < _MOST_JOINTS else ():
             count += 1
             yield Plan(Advice(_run(experiment), (), 0.0), experiment)
 

@@ -1,22 +1,26 @@
 """Experiments that an arm can run safely, as reference motions within its limits."""
 
-from __future__ import annotations
-
+import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Self
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.advice.envelope import Envelope
 from hybrid.diagnosis.gap.gap import Gap, simulated_torque
 from hybrid.dynamics import RigidBody
-from hybrid.errors import HybridError
+from hybrid.errors import ExcitationError, HybridError, HybridWarning, RobotError
+from hybrid.excitation.clearance import Clearance
+from hybrid.excitation.constraints import Limits
 from hybrid.excitation.experiments import (
     at_speeds,
+    checked,
     micro_reversals,
     multisine,
+    path_from_reference,
     speed_ladder,
     static_poses,
 )
@@ -26,6 +30,8 @@ from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 
+_SAME_POSTURE = 0.01  # rad or m
+_TRIES = 12
 _EDGE = 0.2  # s, at both ends of a motion: transient of the filter
 _CUTOFF = 30.0  # Hz, highest; experiments are slower
 _SAMPLES = 5.0  # per period of the cut-off
@@ -38,22 +44,66 @@ _PAYLOADS = (0.5, 0.25, 0.125)  # times the median mass of a link
 
 
 @dataclass(frozen=True, eq=False)
+class Envelope:
+    """80 % of the limits in a robot file, and the clearance of its links."""
+
+    robot: Robot
+    limits: Limits
+    # Clearance of 1 cm between links; None if the file has no geometry.
+    clearance: Clearance | None
+
+    @classmethod
+    def of(cls, robot: Robot) -> Self:
+        """Make the envelope of a robot."""
+        limits, clearance = Limits.of(robot), None
+        with warnings.catch_warnings(), suppress(RobotError):  # no geometry
+            # Links that touch in most postures are left out.
+            warnings.simplefilter("ignore", HybridWarning)
+            clearance = Clearance.of(robot, limits)
+        return cls(robot, limits, clearance)
+
+    def first_safe(
+        self, make: Callable[[int], Reference], robot: Robot | None = None
+    ) -> Reference:
+        """The first safe motion of tries from 0 on, of an arm that may have a payload.
+
+        Raises:
+            ExcitationError: No try is safe.
+        """
+        for k in range(_TRIES):
+            try:
+                return self.checked(make(k), robot)
+            except ExcitationError as error:
+                failed = error
+        raise failed
+
+    def checked(self, reference: Reference, robot: Robot | None = None) -> Reference:
+        """The reference, if it is safe for the arm, which may have a payload.
+
+        Raises:
+            ExcitationError: A limit is exceeded, or two links come too close.
+        """
+        checked(robot or self.robot, reference, self.limits)
+        if self.clearance is None or not len(self.clearance.pairs):
+            return reference
+        postures = np.round(reference.q / _SAME_POSTURE)
+        _, first = np.unique(postures, axis=0, return_index=True)
+        worst = self.clearance.excess(path_from_reference(reference).at(first))
+        if (worst > 0).any():
+            name = self.clearance.names[int(worst.max(axis=0).argmax())]
+            raise ExcitationError(f"{name}; valid is a motion with more room")
+        return reference
+
+
+@dataclass(frozen=True, eq=False)
 class Experiment:
-    """A motion to run, with its conditions.
+    """A motion to run, with its conditions."""
 
-    Attributes:
-        name: Name, as it follows the word "run".
-        reference: The motion.
-        start: Time since the drives were switched on, [s].
-        mass: Payload at the centre of mass of the last link, [kg].
-        gains: Whether to run it with other servo gains as well.
-    """
-
-    name: str
+    name: str  # as it follows the word "run"
     reference: Reference
-    start: float = 0.0
-    mass: float = 0.0
-    gains: bool = False
+    start: float = 0.0  # time since the drives were switched on, [s]
+    mass: float = 0.0  # payload at the centre of mass of the last link, [kg]
+    gains: bool = False  # whether to run it with other servo gains as well
 
     @property
     def plain(self) -> bool:
@@ -68,10 +118,7 @@ class Experiment:
 class Menu:
     """Experiments with an arm that its limits and its links allow.
 
-    Args:
-        robot: The arm.
-        rng: Random generator of motions.
-        rate: Samples per second of the references, [Hz].
+    Their references have ``rate`` samples per second.
     """
 
     def __init__(self, robot: Robot, rng: np.random.Generator, *, rate: float) -> None:
@@ -81,15 +128,8 @@ class Menu:
     def about(self, joint: int) -> tuple[Experiment, ...]:
         """Experiments that move a joint."""
         if joint not in self._of_joint:
-            # Motions take a joint by its name, or by its number from 1 as text.
-            robot, rate, number = self._robot, self._rate, str(joint + 1)
-
-            def reversals(k: int) -> Reference:
-                posture = self._posture(k)
-                return micro_reversals(robot, number, rate=rate, posture=posture)
-
-            name = f"small reversals of {robot.joints[joint]}"
-            small = self._if_safe(name, reversals)
+            name = f"small reversals of {self._robot.joints[joint]}"
+            small = self._if_safe(name, self._of_one(micro_reversals, joint))
             self._of_joint[joint] = (*self.ladder(joint, longest=2.0), *small)
         return (*self._of_joint[joint], *self.of_all_joints)
 
@@ -99,68 +139,49 @@ class Menu:
         return Envelope.of(self._robot)
 
     def ladder(self, joint: int, *, longest: float = 4.0) -> tuple[Experiment, ...]:
-        """Motions of a joint at many speeds in both directions, if there is room.
-
-        Args:
-            joint: The joint.
-            longest: Longest time at one speed, [s].
-        """
-        robot, rate, number = self._robot, self._rate, str(joint + 1)
-
-        def make(k: int) -> Reference:
-            posture = self._posture(k)
-            return speed_ladder(
-                robot, number, longest=longest, rate=rate, posture=posture
-            )
-
-        name = f"a ladder of speeds of {robot.joints[joint]}, up and down"
-        return self._if_safe(name, make)
+        """Motions of a joint at many speeds, each for up to ``longest`` seconds."""
+        name = f"a ladder of speeds of {self._robot.joints[joint]}, up and down"
+        return self._if_safe(name, self._of_one(speed_ladder, joint, longest=longest))
 
     @cached_property
     def of_all_joints(self) -> tuple[Experiment, ...]:
         """Experiments that move all joints."""
-        robot, rng, rate = self._robot, self._rng, self._rate
-
-        def speeds(k: int) -> Reference:
-            return concatenated(at_speeds(robot, self._path(10.0, 0.2, k)))
-
-        def poses(_: int) -> Reference:
-            return static_poses(robot, self._poses(), hold=0.5, rate=rate)
+        robot, rate = self._robot, self._rate
 
         def tones(k: int) -> Reference:
             fill, posture = 0.5 * _SMALLER**k, self._posture(k)
-            return multisine(robot, fill=fill, posture=posture, seed=rng, rate=rate)
+            return multisine(
+                robot, fill=fill, posture=posture, seed=self._rng, rate=rate
+            )
 
-        return (
-            *self._if_safe(
-                "one path of all joints at 0.5, 1 and 2 times its speed", speeds
+        motions: dict[str, Callable[[int], Reference]] = {
+            "one path of all joints at 0.5, 1 and 2 times its speed": lambda k: (
+                concatenated(at_speeds(robot, self._path(10.0, 0.2, k)))
             ),
-            *self._if_safe(
-                "moves between poses all over the workspace, with a rest in each", poses
+            "moves between poses all over the workspace, with a rest in each": (
+                lambda _: static_poses(robot, self._poses(), hold=0.5, rate=rate)
             ),
-            *self._if_safe("a multisine of all joints from 0.2 to 5 Hz", tones),
-            *self._if_safe(
-                "a fast random motion of all joints over most of their range",
-                lambda k: self._path(20.0, 0.8, k),
+            "a multisine of all joints from 0.2 to 5 Hz": tones,
+            "a fast random motion of all joints over most of their range": (
+                lambda k: self._path(20.0, 0.8, k)
             ),
-            *self._prepared(),
-        )
+        }
+        found = [x for name in motions for x in self._if_safe(name, motions[name])]
+        return (*found, *self._prepared())
 
     def _prepared(self) -> tuple[Experiment, ...]:
         """Experiments that need preparation: warm drives, other gains or a payload."""
+        warm = (
+            "a random motion of all joints again when the drives are warm, after "
+            f"{_WARM_UP / 60:.0f} minutes of work, logged by the same clock"
+        )
+        twice = (
+            "a random motion of all joints twice, the second time with the gains of "
+            "the servo at half"
+        )
         found = (
-            *self._if_safe(
-                "a random motion of all joints again when the drives are warm, after "
-                f"{_WARM_UP / 60:.0f} minutes of work, logged by the same clock",
-                self._random,
-                start=_WARM_UP,
-            ),
-            *self._if_safe(
-                "a random motion of all joints twice, the second time with the gains "
-                "of the servo at half",
-                self._random,
-                gains=True,
-            ),
+            *self._if_safe(warm, self._random, start=_WARM_UP),
+            *self._if_safe(twice, self._random, gains=True),
         )
         for part in _PAYLOADS:
             mass = float(f"{part * np.median(self._robot.chain.inertial[:, 0]):.1g}")
@@ -189,6 +210,14 @@ class Menu:
         except HybridError:
             return ()
         return (Experiment(name, reference, start, mass, gains),)
+
+    def _of_one(
+        self, make: Callable[..., Reference], joint: int, **more: float
+    ) -> Callable[[int], Reference]:
+        """Tries of a motion of one joint, each in another posture."""
+        # Motions take a joint by its name, or by its number from 1 as text.
+        one = partial(make, self._robot, str(joint + 1), rate=self._rate, **more)
+        return lambda k: one(posture=self._posture(k))
 
     def _random(self, k: int) -> Reference:
         return self._path(20.0, 0.6, k)
@@ -254,9 +283,7 @@ def with_payload(robot: Robot, mass: float) -> Robot:
 def gap_along(gap: Gap, experiment: Experiment) -> Gap:
     """A gap of zero along an experiment, to compute columns of effects there.
 
-    Args:
-        gap: A measured gap, for the simulator and its speeds.
-        experiment: The experiment; the arm is assumed to follow it exactly.
+    The arm is assumed to follow it exactly; ``gap`` is a measured one.
     """
     cutoff = min(gap.cutoff, _CUTOFF)
     r, robot = experiment.reference, experiment.arm(gap.robot)

@@ -8,54 +8,118 @@ expected evidence of the new motion.
 Source: Atkinson and Fedorov 1975, doi 10.1093/biomet/62.1.57 (T-optimality).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from operator import itemgetter
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.advice.whitened import WhitenedColumns
 from hybrid.diagnosis.evidence.bayes import heavy_tailed
-from hybrid.diagnosis.evidence.candidates import (
-    Candidate,
-    Term,
-    scale_of,
-    with_gains,
-)
+from hybrid.diagnosis.evidence.candidates import Candidate, Term, scale_of, with_gains
+from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.shapes import fit_shapes, price, shape_derivatives
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.gap.gap import Columns
+from hybrid.diagnosis.gap.background import (
+    background,
+    friction_near_rest,
+    sampling_delays,
+)
+from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.prior import Prior
+from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
+from hybrid.regression.problem import part
 
 _ITERATIONS = 4  # of the gain of a linearised effect
 _LONG_WAVES = 6  # per turn
 
 
-@dataclass(frozen=True, eq=False)
-class Rival:
-    """One of two explanations, fitted to the recordings.
+class WhitenedColumns:
+    """Columns of effects along some motions, in units of noise.
 
-    Attributes:
-        candidate: The effect in which it differs, with fitted gains.
-        others: The effects that both rivals share.
-        gains: Gains of the background, of the shared effects and of its own effect, and
-            small changes of its shapes, shape (k,).
-        precision: Inverse posterior covariance of these, shape (k, k).
-        prior: Inverse prior variance of what both share, shape (s,).
-        evidence: Log evidence of its own effect on the recordings, [nat].
+    Args:
+        gap: The motions.
+        noise: Variance of each joint's noise for independent samples, shape (n,).
+        rows: Samples of each joint to use; by default all in which it moves.
     """
 
-    candidate: Candidate
-    others: tuple[Candidate, ...]
+    def __init__(
+        self, gap: Gap, noise: Array, rows: Sequence[Index] | None = None
+    ) -> None:
+        self.gap = gap
+        moving = [np.flatnonzero(x) for x in gap.moving.T]
+        self.rows = moving if rows is None else list(rows)
+        self._unit = 1.0 / np.sqrt(noise)
+        self._cached: dict[Candidate, Columns] = {}
+
+    def columns(self, effect: Effect) -> Columns:
+        """Torque per unit of each gain, shape (R, p) at each joint that is reached."""
+        return self._whitened(self.gap.columns(effect))
+
+    def cached(self, candidate: Candidate) -> Columns:
+        """The columns of a candidate, computed once."""
+        if candidate not in self._cached:
+            self._cached[candidate] = self.columns(candidate.effect)
+        return self._cached[candidate]
+
+    def with_shapes(self, effect: Effect) -> list[Columns]:
+        """Columns of an effect, and of small changes of its shapes."""
+        changes = [self._whitened(x) for x in shape_derivatives(self.gap, effect)]
+        return [self.columns(effect), *changes]
+
+    @cached_property
+    def background(self) -> list[Columns]:
+        """Columns of the simulator's own numbers."""
+        makers = background, friction_near_rest, sampling_delays
+        return [self._whitened(x) for make in makers for x in make(self.gap)[0]]
+
+    @cached_property
+    def residual(self) -> list[Array]:
+        """Gap at each joint, shape (R,)."""
+        return [self.gap.left[r, i] * self._unit[i] for i, r in enumerate(self.rows)]
+
+    def stack(self, blocks: Sequence[Columns]) -> list[Array]:
+        """Stack columns at every joint, shape (R, k) each; zero where there is none."""
+        widths = [next(iter(b.values())).shape[1] for b in blocks]
+        starts = np.concatenate([[0], np.cumsum(widths)]).astype(int)
+        found = []
+        for i, rows in enumerate(self.rows):
+            X = np.zeros((len(rows), starts[-1]))
+            for block, start, width in zip(blocks, starts[:-1], widths, strict=True):
+                if i in block:
+                    X[:, start : start + width] = block[i]
+            found.append(X)
+        return found
+
+    def _whitened(self, columns: Columns) -> Columns:
+        return {i: x[self.rows[i]] * self._unit[i] for i, x in columns.items()}
+
+
+def decimated(gap: Gap) -> Gap:
+    """A gap with decimated motions, so that columns of effects take less time."""
+    pairs = [(part(m, slice(None, None, s.factor)), b) for m, b, s in gap]
+    return replace(
+        gap,
+        motions=tuple(m for m, _ in pairs),
+        bodies=tuple(RigidBody(b.chain, m, b.inertial) for m, b in pairs),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """One of two explanations, fitted to the recordings."""
+
+    candidate: Candidate  # the effect in which it differs, with fitted gains
+    others: tuple[Candidate, ...]  # the effects that both rivals share
+    # Gains of the background, of the shared effects and of its own effect, and small
+    # changes of its shapes, shape (k,).
     gains: Array
-    precision: Array
-    prior: Array
-    evidence: float
+    precision: Array  # inverse posterior covariance of these, shape (k, k)
+    prior: Array  # inverse prior variance of what both share, shape (s,)
+    evidence: float  # log evidence of its own effect on the recordings, [nat]
 
     @property
     def effect(self) -> Effect:
@@ -104,6 +168,30 @@ def tried_shapes(search: Search) -> list[Candidate]:
     return tried
 
 
+class _Data:
+    """Torque y in units of noise, (R,) at each joint, and shared columns X, (R, s)."""
+
+    def __init__(self, X: Sequence[Array], y: Sequence[Array]) -> None:
+        self._X, self._y = X, y
+        gram = np.sum([x.T @ x for x in X], axis=0)
+        self._factor = cho_factor(np.eye(len(gram)) + gram)
+        moment = np.sum([x.T @ t for x, t in zip(X, y, strict=True)], axis=0)
+        self._gains = cho_solve(self._factor, moment)
+
+    def evidence(self, columns: Columns, c: Candidate) -> tuple[float, Array]:
+        """Log evidence of a candidate's columns, [nat], and their gains, (p,)."""
+        p = len(c.std)
+        across, H, s = np.zeros((len(self._gains), p)), np.zeros((p, p)), np.zeros(p)
+        for i, x in columns.items():
+            across += self._X[i].T @ x
+            H += x.T @ x
+            s += x.T @ self._y[i]
+        H -= across.T @ cho_solve(self._factor, across)
+        s -= across.T @ self._gains
+        gain, gains, _ = heavy_tailed(H, s, c.std**-2.0, c.lower)
+        return float(gain) - price(c.effect), gains
+
+
 class Discrimination:
     """Discrimination between rivals by recordings together with a new motion.
 
@@ -125,15 +213,13 @@ class Discrimination:
         self._tried = tried
         self._ahead = ahead
         self._parts = [ahead] if alone else [recorded, ahead]
-        self._shared: dict[tuple[Candidate, ...], _Shared] = {}
+        self._shared: dict[tuple[Candidate, ...], list[Array]] = {}
 
     def separation(self, first: Rival, second: Rival) -> float:
         """Separation of two rivals by the new motion, whichever of them is true."""
-        rivals = first, second
-        stacks = [np.concatenate(r.stack(self._ahead)) for r in rivals]
-        torques = [X @ r.gains for X, r in zip(stacks, rivals, strict=True)]
-        difference, found = torques[0] - torques[1], []
-        for X, rival in zip(stacks, rivals, strict=True):
+        one, two = (np.concatenate(r.stack(self._ahead)) for r in (first, second))
+        difference, found = one @ first.gains - two @ second.gains, []
+        for X, rival in ((one, first), (two, second)):
             b = X.T @ difference
             fitted = b @ np.linalg.solve(X.T @ X + rival.precision, b)
             found.append(max(float(difference @ difference - fitted), 0.0))
@@ -164,7 +250,9 @@ class Discrimination:
         """Recordings and the torque of the new motion, if a rival is true."""
         if true.others not in self._shared:
             stacks = [p.stack(true.shared(p)) for p in self._parts]
-            self._shared = {true.others: _Shared(_joined(stacks), true.prior)}
+            # Scaled by the prior, as columns differ by many orders of magnitude.
+            scaled = [X / np.sqrt(true.prior) for X in _joined(stacks)]
+            self._shared = {true.others: scaled}
         new = [X @ true.gains for X in true.stack(self._ahead)]
         old = [p.residual for p in self._parts[:-1]]
         return _Data(self._shared[true.others], _joined([*old, new]))
@@ -199,38 +287,6 @@ class Discrimination:
     def _evidence_at(self, data: _Data, c: Candidate) -> tuple[float, Array]:
         """Evidence of a candidate at its shapes, [nat], and its gains (p,)."""
         return data.evidence(_appended([p.columns(c.effect) for p in self._parts]), c)
-
-
-class _Shared:
-    """Columns X that both rivals share, (R, s) at each joint, with their precision."""
-
-    def __init__(self, X: Sequence[Array], prior: Array) -> None:
-        # Scaled by the prior, as columns differ by many orders of magnitude.
-        self.X, self.size = [x / np.sqrt(prior) for x in X], len(prior)
-        gram = np.sum([x.T @ x for x in self.X], axis=0)
-        self.factor = cho_factor(np.eye(len(prior)) + gram)
-
-
-class _Data:
-    """Torque y in units of noise, (R,) at each joint, with the shared columns."""
-
-    def __init__(self, shared: _Shared, y: Sequence[Array]) -> None:
-        self._shared, self._y = shared, y
-        moment = np.sum([x.T @ t for x, t in zip(shared.X, y, strict=True)], axis=0)
-        self._gains = cho_solve(shared.factor, moment)
-
-    def evidence(self, columns: Columns, c: Candidate) -> tuple[float, Array]:
-        """Log evidence of a candidate's columns, [nat], and their gains, (p,)."""
-        p = len(c.std)
-        across, H, s = np.zeros((self._shared.size, p)), np.zeros((p, p)), np.zeros(p)
-        for i, x in columns.items():
-            across += self._shared.X[i].T @ x
-            H += x.T @ x
-            s += x.T @ self._y[i]
-        H -= across.T @ cho_solve(self._shared.factor, across)
-        s -= across.T @ self._gains
-        gain, gains, _ = heavy_tailed(H, s, c.std**-2.0, c.lower)
-        return float(gain) - price(c.effect), gains
 
 
 def required_evidence(evidence: float) -> float:

@@ -4,8 +4,6 @@ They do not show between torque and motion. Here the measured torque is compared
 the torque that a servo law asks for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -24,10 +22,9 @@ from hybrid.diagnosis.explanations.servo_fit import (
     hidden_damping,
     log_likelihood_ratio,
 )
-from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
-from hybrid.diagnosis.gap.split import split, unseen_samples
-from hybrid.diagnosis.gap.units import units
 from hybrid.effects import Effect
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
@@ -42,40 +39,27 @@ _LEAST_FALL = 0.01  # of the squares of the residual
 
 @dataclass(frozen=True, eq=False)
 class Link(ExtraFindings):
-    """Findings between command and torque.
+    """Findings between command and torque."""
 
-    Attributes:
-        excess: Squares above noise of the servo laws without the effects found, by
-            block of time, shape (B, n), in units of noise; 0 without findings.
-    """
-
+    # Squares above noise of the servo laws without the effects found, by block of time,
+    # shape (B, n), in units of noise; 0 without findings.
     excess: Array
 
 
 @dataclass(frozen=True, eq=False)
 class _Servo:
-    """One joint's servo, fitted with and without each of the two effects.
-
-    Attributes:
-        joint: The joint.
-        log: All its samples.
-        test: The held-out samples.
-        fits: Fits on the training samples, by (late, free): whether the command may be
-            late, and whether gains may differ from the declared ones.
-        found: Effects found: ``CommandLatency`` and ``ControllerGain``.
-        effects: The effects found, fitted to all samples.
-        noise: Residual variance of the best fit, [(N·m)²].
-        scale: Whether a wrong torque scale would explain as much as other gains.
-    """
+    """One joint's servo, fitted with and without each of the two effects."""
 
     joint: int
-    log: ServoLog
-    test: ServoLog
+    log: ServoLog  # all samples
+    test: ServoLog  # the held-out ones
+    # On the training samples, by (late, free): whether the command may be late, and
+    # whether gains may differ from the declared ones.
     fits: dict[tuple[bool, bool], Fit]
     found: tuple[type[Effect], ...]
-    effects: tuple[Effect, ...]
-    noise: float
-    scale: bool
+    effects: tuple[Effect, ...]  # those found, fitted to all samples
+    noise: float  # residual variance of the best fit, [(N·m)²]
+    scale: bool  # whether a wrong scale of torque explains as much as other gains
 
     def without(self, *kinds: type[Effect]) -> Fit:
         """The best fit without some effects."""
@@ -108,14 +92,8 @@ def command_link(
 ) -> Link:
     """Find effects between the command and the torque of each joint.
 
-    Joints whose torque no servo law explains have no finding.
-
-    Args:
-        gap: The gap.
-        recordings: Logs of the gap; those with a command are used.
-        rng: Random generator of the bootstrap.
-        without: Ids of effects to leave out.
-        distorted: Joints to leave out, as their logged torque is not their servo's.
+    Joints whose torque no servo law explains have no finding; neither have those that
+    are ``distorted``, as their logged torque is not their servo's.
     """
     learn = split(gap)
     test = unseen_samples(gap, learn)

@@ -1,7 +1,5 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What happened at a time: contacts of a moving arm, and pushes on one at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -89,16 +87,9 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
         for own in np.split(at, ends):
             if len(own) < max(_SHORTEST * gap.rate, 2):
                 continue
-            torque, t = x[own].mean(axis=0), sampled.t[rows[own]]
+            torque, t = x[own].mean(axis=0), sampled.t[rows[own]].tolist()
             columns = push[rows[own]].mean(axis=0)
             force = np.linalg.lstsq(columns, torque, rcond=1e-3)[0]
-            found.append(
-                Event(
-                    motion.source or str(r),
-                    float(t[0]),
-                    float(t[-1]),
-                    tuple(torque.tolist()),
-                    tuple(force.tolist()),
-                )
-            )
+            both = tuple(torque.tolist()), tuple(force.tolist())
+            found.append(Event(motion.source or str(r), t[0], t[-1], *both))
     return tuple(found)

@@ -1,7 +1,5 @@
 """Turn terms of an explanation into findings: effects grouped over joints."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,8 +11,7 @@ from hybrid.diagnosis.answer.intervals import NORMAL, shrunk
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.units import unit_at, units
+from hybrid.diagnosis.gap.gap import Gap, unit_at, units
 from hybrid.effects import Effect, effect_class
 
 _LEAST_CHANGE = 0.05  # of the largest change at a joint
@@ -24,16 +21,11 @@ _REPLACES = " It takes the place of the {} friction that the file declares."
 
 @dataclass(frozen=True, eq=False)
 class ExtraFindings:
-    """Findings that are not terms of the search.
+    """Findings that are not terms of the search."""
 
-    Attributes:
-        findings: Findings; their shares sum to 1.
-        effects: The effects found, joint by joint.
-        squares: Squares that they explain at each joint, shape (n,), in units of noise.
-    """
-
-    findings: tuple[Finding, ...]
-    effects: tuple[Effect, ...]
+    findings: tuple[Finding, ...]  # their shares sum to 1
+    effects: tuple[Effect, ...]  # the effects found, joint by joint
+    # Squares that they explain at each joint, shape (n,), in units of noise.
     squares: Array
 
     def merged(
@@ -41,9 +33,7 @@ class ExtraFindings:
     ) -> tuple[Finding, ...]:
         """Merge with findings of the search; largest share first.
 
-        Args:
-            others: Findings of the search.
-            explained: Squares that these explain, in units of noise.
+        ``explained`` are the squares that these explain, in units of noise.
         """
         own = float(self.squares.sum())
         part = own / max(own + explained, 1e-300)
@@ -66,7 +56,7 @@ def findings(
         effects: Effect of each term with its final values.
         kinds: Ids of effects that explain as much as each term, its own first; none for
             a term in place of an unknown law.
-        parts: Share of each term in what is explained.
+        parts: Share of each term in what is explained, shape (terms,).
         rng: Random generator of the bootstrap.
     """
     gap = scored.gap
@@ -82,24 +72,21 @@ def findings(
         declared = [k for k in members if k not in own]  # in the file, and replaced
         members = own + declared
         joints = {j for k in members for j in effects[k].at_joints}
-        names = tuple(gap.robot.joints[j] for j in sorted(joints))
         parameters = [v for k in own for v in fitted_values(gap, effects[k])]
-        parameters += [
-            replace(v, name=f"{effects[k].id} {v.name}")
-            for k in declared
-            for v in fitted_values(gap, effects[k])
-        ]
-        replaced = dict.fromkeys(effects[k].id for k in declared)
-        law, seen = effect_class(effect_id), scored.where_seen(members)
+        for k in declared:
+            values = fitted_values(gap, effects[k])
+            parameters += [replace(v, name=f"{effects[k].id} {v.name}") for v in values]
+        seen = scored.where_seen(members)
         without = seen.left(seen.without(*members))
         finding = finding_of(
-            law,
-            names,
+            effect_class(effect_id),
+            [gap.robot.joints[j] for j in sorted(joints)],
             [a for k in own for a in kinds[k]],
             parameters,
             share=float(parts[members].sum()),
             shrink=torque_shrink(seen, without, rng),
         )
+        replaced = dict.fromkeys(effects[k].id for k in declared)
         sentence = finding.sentence + "".join(map(_REPLACES.format, replaced))
         found.append(replace(finding, sentence=sentence))
     return tuple(sorted(found, key=lambda f: -f.share))
@@ -132,12 +119,8 @@ def torque_shrink(
 ) -> Shrink:
     """Compare the torque gap without a finding and with it, at the joints it changes.
 
-    Both have the corrected background and all other findings.
-
-    Args:
-        scored: The explanation.
-        without: Residual of each joint without the finding, [N·m].
-        rng: Random generator of the bootstrap.
+    Both have the corrected background and all other findings; ``without`` is the
+    residual of each joint without the finding, [N·m].
     """
     joints, samples = changed_joints(scored, without), len(scored.gap.fold)
     squares = [

@@ -1,14 +1,12 @@
 """Write the simulator with the findings of a diagnosis, as MJCF and as a model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.simulator import corrected
 from hybrid.diagnosis.explanations.refit import solve_all
 from hybrid.diagnosis.gap.gap import Gap
@@ -21,25 +19,17 @@ from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
 
-if TYPE_CHECKING:
-    from hybrid.diagnosis.answer.result import Result
-
 SIMULATOR = "sim_fixed.xml"
 MODEL = "model.json"
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """Files of a corrected simulator.
+    """Files of a corrected simulator."""
 
-    Attributes:
-        simulator: MJCF file.
-        model: Torque model with all findings.
-        notes: Findings that MJCF expresses only approximately, or not at all.
-    """
-
-    simulator: Path
-    model: Path
+    simulator: Path  # MJCF file
+    model: Path  # torque model with all findings
+    # Findings that MJCF expresses only approximately, or not at all.
     notes: tuple[str, ...]
 
 
@@ -61,9 +51,8 @@ def write_fixed(
     Raises:
         EffectError: An effect cannot be simulated.
     """
-    robot, effects = fixed_simulator(result)
-    effects = (*result.baseline, *effects)
-    folder = Path(directory)
+    robot, found = fixed_simulator(result)
+    folder, effects = Path(directory), (*result.baseline, *found)
     made = build_simulator(
         robot,
         effects,
@@ -72,8 +61,8 @@ def write_fixed(
         notes=_servo_notes(result),
     )
     made.write(folder / SIMULATOR)
-    effects = (*effects, *result.command)
-    fixed_model(result.gap, robot, effects).save(folder / MODEL)
+    whole = fixed_model(result.gap, robot, (*effects, *result.command))
+    whole.save(folder / MODEL)
     return Fixed(folder / SIMULATOR, folder / MODEL, made.notes)
 
 

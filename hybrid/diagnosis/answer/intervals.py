@@ -1,7 +1,5 @@
 """95 % intervals by the bootstrap over blocks of time, as samples are correlated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -22,11 +20,8 @@ def interval(
 ) -> Interval:
     """95 % interval of a share; 0 to 1 if there is a single block.
 
-    Args:
-        statistic: Computes the share, shape (R,), from indices of the blocks in each
-            resample, (R, blocks).
-        blocks: Number of blocks.
-        rng: Random generator.
+    ``statistic`` computes the share, shape (R,), from indices of the blocks in each
+    resample, (R, blocks).
     """
     if blocks < 2:
         return 0.0, 1.0
@@ -38,11 +33,8 @@ def interval(
 def shrunk(squares: Array, count: int, unit: str, rng: np.random.Generator) -> Shrink:
     """RMS of a gap before and after, and the part removed with its interval.
 
-    Args:
-        squares: Sums of squares in each block of time, before and after, shape (2, B).
-        count: Number of samples.
-        unit: Unit of the torque.
-        rng: Random generator of the bootstrap.
+    ``squares`` are sums over each block of time, before and after, shape (2, B), of
+    ``count`` samples.
     """
 
     def removed(sums: Array) -> Array:

@@ -1,6 +1,8 @@
-"""Merge findings between command and torque with those between torque and motion."""
+"""Findings that the search does not score: a delay of the log, and of the controller.
 
-from __future__ import annotations
+A delay of torque that all joints share comes from time stamps of another clock. It is
+removed from the log before the search, as it delays the torque of all effects.
+"""
 
 from dataclasses import replace
 
@@ -10,11 +12,55 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Verdict
+from hybrid.diagnosis.answer.findings import (
+    ExtraFindings,
+    finding_of,
+    fitted_values,
+    torque_shrink,
+)
 from hybrid.diagnosis.answer.intervals import interval
+from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.account import Account
+from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.effects.delay import Delay
 
 COMMAND_TO_TORQUE = "command to torque"
+
+
+def delay_finding(
+    logged: Gap, scored: Explanation, convention: Convention, rng: np.random.Generator
+) -> tuple[ExtraFindings, float]:
+    """Make the finding that torque is delayed at every joint.
+
+    ``logged`` is the gap of the same samples as those of ``scored``, with the delay.
+
+    Returns:
+        The finding, and the squares that the terms of the explanation explain on the
+        training samples, in units of noise.
+    """
+    gap = scored.gap
+    moving = np.flatnonzero(logged.moving.any(axis=0)).tolist()
+    std = float(np.hypot(convention.std, Delay.inexact["time"] * convention.late))
+    time = {"time": convention.late}
+    effects = tuple(Delay((j,), time, {"time": std}) for j in moving)
+    change = logged.left - gap.left
+
+    def with_delay(x: Explanation) -> list[Array]:
+        pairs = enumerate(zip(x.evidence.rows, x.after, strict=True))
+        return [left + change[rows, i] for i, (rows, left) in pairs]
+
+    train = scored.learnt or scored
+    own, others = (
+        np.maximum([x @ x - y @ y for x, y in zip(left, train.after, strict=True)], 0)
+        / train.evidence.noise
+        for left in (with_delay(train), train.before)
+    )
+    names = [gap.robot.joints[j] for j in moving]
+    parameters = [v for e in effects for v in fitted_values(gap, e)]
+    shrink = torque_shrink(scored, with_delay(scored), rng)
+    finding = finding_of(Delay, names, (), parameters, shrink=shrink)
+    return ExtraFindings((finding,), effects, own), float(others.sum())
 
 
 def merged_links(
@@ -53,14 +99,11 @@ def _where(
     total = excess.sum()
     other = above if diagnosis.where else 0.0
     scale = other / max(other + total, 1e-300)
-    found = [
-        replace(
-            r,
-            share=scale * r.share,
-            interval=(scale * r.interval[0], scale * r.interval[1]),
-        )
-        for r in diagnosis.where
-    ]
+    found = []
+    for r in diagnosis.where:
+        low, high = r.interval
+        ends = scale * low, scale * high
+        found.append(replace(r, share=scale * r.share, interval=ends))
     for i in np.flatnonzero(excess.sum(axis=0) > 0).tolist():
 
         def share(k: NDArray[np.intp], i: int = i) -> Array:

@@ -1,7 +1,5 @@
 """Measure the gap in motion, by simulation without and with each finding."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,7 +11,7 @@ from hybrid.diagnosis.answer.findings import changed_joints
 from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import units
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
 from hybrid.progress import Progress
@@ -36,10 +34,7 @@ _HALVED = (
 
 
 def with_motion_gap(
-    result: Result,
-    rng: np.random.Generator,
-    *,
-    progress: Progress | None = None,
+    result: Result, rng: np.random.Generator, *, progress: Progress | None = None
 ) -> Result:
     """Add the gap in motion to each finding.
 
@@ -86,8 +81,8 @@ def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diag
         left = max(diagnosis.unexplained, min(share, 1.0))
         diagnosis = replace(diagnosis, verdict="partly_explained", unexplained=left)
     notes = [_DENIED.format(f.effect) for f in denied]
-    notes += [_ASTRAY.format(", ".join(diverged))] if diverged else []
-    notes += [_NO_REPLAY.format(", ".join(unknown))] if unknown else []
+    for words, effects in ((_ASTRAY, diverged), (_NO_REPLAY, unknown)):
+        notes += [words.format(", ".join(effects))] if effects else []
     return _noted(diagnosis, [*notes, *step_warning(replay)])
 
 
@@ -104,11 +99,8 @@ def motion_shrink(
 ) -> Shrink | None:
     """Compare motion errors without and with some terms, all others present.
 
-    Args:
-        replay: Held-out windows.
-        members: Indices of the terms.
-        rng: Random generator of the bootstrap.
-        delays: Delays of the log's torque, which are no terms; instead of ``members``.
+    ``delays`` are delays of the log's torque, which are no terms; instead of
+    ``members``.
 
     Returns:
         RMS over joints and time, [rad], without and with the terms; median over the
@@ -138,16 +130,7 @@ def motion_shrink(
 
 
 def rollout_agrees(replay: Replay, term: int, rng: np.random.Generator) -> bool | None:
-    """Whether a term lowers the motion error.
-
-    Args:
-        replay: Held-out windows.
-        term: Index of the term.
-        rng: Random generator of the bootstrap.
-
-    Returns:
-        True or False if the 95 % interval excludes zero; None otherwise.
-    """
+    """Whether a term lowers the motion error; None if its 95 % interval holds zero."""
     if replay.horizon is None:
         return None
     _, before, after = _errors(replay, [term])

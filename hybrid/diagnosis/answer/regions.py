@@ -5,8 +5,6 @@ joint and variable the densest range is reported: its excess is farthest above t
 excess that its share of the joint's samples would have.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -18,8 +16,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Region
 from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS
 from hybrid.diagnosis.evidence.products import Index
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import Gap, units
 
 TORQUE_TO_MOTION = "torque to motion"
 
@@ -37,37 +34,24 @@ _FIRST_BAND = 0.5  # Hz, its end
 class _Histogram:
     """Excess and samples of a joint in the bins of one variable.
 
-    Attributes:
-        joint: The joint.
-        variable: Name of the variable.
-        unit: Its unit.
-        edges: Edges of the bins, shape (K + 1,).
-        excess: Excess by block of time and bin, shape (B, K), [1].
-        samples: Number of samples by block and bin, shape (B, K); each sample counts
-            in all bands of frequency, by their share of the noise.
+    Each sample counts in all bands of frequency, by their share of the noise.
     """
 
     joint: int
     variable: str
     unit: str
-    edges: Array
-    excess: Array
-    samples: Array
+    edges: Array  # (K + 1,)
+    excess: Array  # by block of time and bin, (B, K)
+    samples: Array  # the same
 
 
 @dataclass(frozen=True)
 class _Test:
-    """Significance test of an excess.
+    """Significance test of an excess."""
 
-    Attributes:
-        draws: Number of times each block of time is in each resample, shape (R, B).
-        limit: Critical value, [standard deviations], for all regions together.
-        correlated: Samples per independent sample.
-    """
-
-    draws: NDArray[np.int64]
-    limit: float
-    correlated: float
+    draws: NDArray[np.int64]  # how often a block is in each resample, (R, B)
+    limit: float  # critical value, [standard deviations], for all regions together
+    correlated: float  # samples per independent sample
 
     def exceeds(self, excess: float, samples: float) -> bool:
         """Whether an excess is significant, and above the error of the noise.
@@ -81,13 +65,8 @@ class _Test:
 def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ...]:
     """Find the parts of the gap with more excess than their share of the samples.
 
-    A joint as a whole is the variable ``link``. Noise is assumed to be white up to the
-    cut-off.
-
-    Args:
-        gap: The gap.
-        noise: RMS noise of each joint, shape (n,), [N·m].
-        rng: Random generator of the bootstrap over blocks of time.
+    A joint as a whole is the variable ``link``. Noise, whose RMS has shape (n,), [N·m],
+    is assumed to be white up to the cut-off.
 
     Returns:
         Regions with a significant excess, at 5 % for all of them together; largest

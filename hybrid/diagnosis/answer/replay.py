@@ -6,8 +6,6 @@ declared friction as fitted with all effects. In an unstable posture any model d
 after some time, so windows are short, and the same for all simulators.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -20,10 +18,11 @@ from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.faults import stretches
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.split import split, unseen_samples
+from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.effects import Effect
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.regression.problem import part
+from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 HORIZONS = (0.5, 0.1)  # s, by preference
@@ -35,9 +34,6 @@ _LARGEST_ERROR = np.pi  # rad; larger motion errors count as this one
 
 class Replay:
     """Windows of held-out motions, and simulations along them.
-
-    Args:
-        scored: The explanation.
 
     Attributes:
         scored: The explanation.
@@ -119,9 +115,6 @@ def _mean_squares(error: Array) -> Array:
 def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     """Simulate all motions, training samples included, restarted every half second.
 
-    Args:
-        scored: The explanation.
-
     Returns:
         Positions at the samples of the gap by the simulator's file, and by the
         simulator with the findings, shape (M, n), [rad]; NaN where there is no window.
@@ -133,19 +126,19 @@ def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     motions, usable, start = _motions(gap, np.ones(len(gap.fold), dtype=np.bool_))
     span = round(HORIZONS[0] * gap.rate)
     motion, sample = _starts(usable, span).T
-    found = []
-    for robot, effects in ((gap.robot, ()), corrected(scored, scored_effects(scored))):
+    windows = Windows(motion, sample, span)
+    at = start[motion] + sample + np.arange(span + 1)[:, None]
+
+    def positions(robot: Robot, effects: Sequence[Effect]) -> Array:
         q = np.full_like(gap.left, np.nan)
-        if len(motion):
-            windows = Windows(motion, sample, span)
-            at = start[motion] + sample + np.arange(span + 1)[:, None]
-            for step in _STEPS:
-                simulated = rollout(robot, effects, motions, windows, step=step)
-                if np.isfinite(simulated).all():
-                    break
-            q[at] = simulated
-        found.append(q)
-    return found[0], found[1]
+        for step in _STEPS if len(motion) else ():
+            q[at] = rollout(robot, effects, motions, windows, step=step)
+            if np.isfinite(q[at]).all():
+                break
+        return q
+
+    found = corrected(scored, scored_effects(scored))
+    return positions(gap.robot, ()), positions(*found)
 
 
 def _motions(
@@ -153,9 +146,7 @@ def _motions(
 ) -> tuple[tuple[Motion, ...], list[NDArray[np.bool_]], NDArray[np.intp]]:
     """Decimated motions that hold wanted samples.
 
-    Returns:
-        The motions; a mask of the wanted samples of each; index of the first sample of
-        each in the gap.
+    With a mask of the wanted samples of each, and the first sample of each in the gap.
     """
     motions, usable, start = [], [], []
     for r, (m, _, sampler) in enumerate(gap):
@@ -174,10 +165,6 @@ def windows_of(
     usable: Sequence[NDArray[np.bool_]], rate: float
 ) -> tuple[float | None, Windows]:
     """Choose windows without overlap in the usable samples of some motions.
-
-    Args:
-        usable: Mask of the usable samples of each motion, shape (N,) each.
-        rate: Samples per second, [Hz].
 
     Returns:
         Length of the windows, [s], and the windows; None and no windows if there are

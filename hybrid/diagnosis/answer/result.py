@@ -1,7 +1,5 @@
 """A diagnosis with its intermediate results."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -16,29 +14,19 @@ from hybrid.effects import Effect
 
 @dataclass(frozen=True)
 class Result:
-    """A diagnosis with its intermediate results, for report and export.
-
-    Attributes:
-        diagnosis: The diagnosis.
-        gap: The gap; a delay that all joints share is part of it.
-        search: The search, with the terms of the findings.
-        scored: The same terms, scored on held-out samples.
-        account: Squares explained and missed at each joint.
-        effects: The effects found, with fitted values: those of the terms, then
-            :attr:`delays`.
-        command: The effects found between command and torque.
-        rivals: For each term the candidates that explain as much in its place.
-        baseline: Effects of the healthy arm's model, already removed from the logs.
-    """
+    """A diagnosis with its intermediate results, for report and export."""
 
     diagnosis: Diagnosis
-    gap: Gap
-    search: Search
-    scored: Explanation
-    account: Account
+    gap: Gap  # the gap; a delay that all joints share is part of it
+    search: Search  # the search, with the terms of the findings
+    scored: Explanation  # the same terms, scored on held-out samples
+    account: Account  # squares explained and missed at each joint
+    # The effects found, with fitted values: those of the terms, then :attr:`delays`.
     effects: tuple[Effect, ...]
-    command: tuple[Effect, ...] = ()
+    command: tuple[Effect, ...] = ()  # the effects found between command and torque
+    # For each term the candidates that explain as much in its place.
     rivals: Mapping[Term, tuple[Candidate, ...]] = field(default_factory=dict)
+    # Effects of the healthy arm's model, already removed from the logs.
     baseline: tuple[Effect, ...] = ()
 
     @property

@@ -1,7 +1,5 @@
 """Add the findings of a diagnosis to the simulator: a physical arm, and effects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -44,13 +42,9 @@ def corrected(
     """Correct the numbers of the simulator, and add some effects.
 
     Rotor inertia and payloads become part of the arm. Links that are not physical are
-    replaced by the physical ones that change the torque of the motions least.
-
-    Args:
-        scored: The explanation.
-        effects: Effects to add.
-        background: Errors of links and declared numbers, shape (b,); those that were
-            scored by default.
+    replaced by the physical ones that change the torque of the motions least. The
+    errors of links and declared numbers are the ``background``, shape (b,); those that
+    were scored by default.
 
     Returns:
         The arm, and the effects that are not part of it.
@@ -59,13 +53,12 @@ def corrected(
     errors = scored.gains[: len(scored.rigid)] if background is None else background
     links, rest = np.split(errors, [10 * robot.size])
     chain, inertial = robot.chain, robot.chain.inertial + links.reshape(-1, 10)
+    armature, others = chain.armature.copy(), []
     numbers = {name: getattr(robot, name).copy() for name in _NUMBERS}
-    numbers = {"armature": chain.armature.copy(), **numbers}
-    for values in numbers.values():
+    for values in (armature, *numbers.values()):
         declared = np.flatnonzero(values)
-        values[declared] += rest[: len(declared)]
-        rest = rest[len(declared) :]
-    armature, others = numbers["armature"], []
+        own, rest = np.split(rest, [len(declared)])
+        values[declared] += own
     for effect in effects:
         change = effect.rigid_change(robot.size, chain.gravity)
         if change is not None and not change[1].any():
@@ -79,8 +72,8 @@ def corrected(
         if effect.behind and armature[j] <= 0:
             armature[j] = _ROTOR * _mean_inertia(scored, j)
     positive = {name: np.maximum(values, 0.0) for name, values in numbers.items()}
-    rotors = positive.pop("armature")
-    chain = replace(chain, inertial=_physical(scored, inertial), armature=rotors)
+    links, rotors = _physical(scored, inertial), np.maximum(armature, 0.0)
+    chain = replace(chain, inertial=links, armature=rotors)
     return replace(robot, chain=chain, **positive), tuple(others)
 
 

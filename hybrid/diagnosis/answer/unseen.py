@@ -1,7 +1,5 @@
 """Score the gap on held-out motions, and that of plain least squares beside it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hybrid.arrays import Array

@@ -39,8 +39,7 @@ from hybrid.diagnosis.gap.background import (
     sampling_delays,
 )
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.diagnosis.gap.measure import NORMAL
-from hybrid.diagnosis.gap.split import unseen_samples
+from hybrid.diagnosis.gap.measure import NORMAL, unseen_samples
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 

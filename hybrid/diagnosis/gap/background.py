@@ -4,8 +4,6 @@ They are errors of the numbers of the robot file, the shape of dry friction near
 and the time between two samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -28,10 +26,9 @@ _LEADS = (0.0, 0.01)  # s, time by which a solver reverses friction early
 def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of the numbers of the robot file, and the size of each number.
 
-    Returns:
-        A block of ten columns for each link, and one of a column for each declared
-        armature, damping, friction loss and stiffness; and the size of each number, to
-        which its relative error refers.
+    A block has ten columns for each link, and there is one of a column for each
+    declared armature, damping, friction loss and stiffness. The relative error of a
+    number refers to its size.
     """
     robot = gap.robot
     n = robot.size
@@ -76,12 +73,9 @@ def friction_near_rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
 
 @lru_cache(maxsize=1)  # the training and the test samples share them
 def sampling_delays(gap: Gap) -> tuple[list[Columns], list[Array]]:
-    """Columns of torque that was read between two samples, and the size of the delay.
+    """Columns of torque read between two samples, and standard deviations of gains.
 
     No log says when torque was read within a sample: its time is uniform over one.
-
-    Returns:
-        A block of one column for each joint, and the standard deviation of its gain.
     """
     joints = range(gap.robot.size)
     size = gap.period / np.sqrt(12.0)

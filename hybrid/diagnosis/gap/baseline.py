@@ -1,7 +1,5 @@
 """A model of the healthy arm as the simulator, to diagnose what has changed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,9 +23,6 @@ class Baseline:
 
     The model's friction, ripple and remainder are subtracted. The torque of its links
     and of all that has changed is left.
-
-    Attributes:
-        model: The model of the healthy arm.
     """
 
     model: DynamicModel

@@ -1,14 +1,12 @@
-"""Which joints, speeds, directions and positions the recordings do not cover."""
-
-from __future__ import annotations
+"""What recordings do not cover, and whether they suffice to name a cause."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.units import units
+from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.identification.preparation import STANDING
 
 _STILL = 0.005  # rad; range of a joint at rest, by noise and servo
 _SHORTEST = 0.2  # s, in a condition
@@ -16,16 +14,15 @@ _FEWEST_REVERSALS = 3
 _SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)  # rad/s
 _SLOW = 0.2  # of the highest speed visited
 _ENOUGH = 0.5  # of a limit of speed or position
+_LEAST_SECONDS = 3.0  # s, of all recordings together
+_LEAST_MOVING = 1.0  # s, for which a joint moves
 
 
 def not_excited(gap: Gap) -> tuple[str, ...]:
-    """Conditions that the recordings do not cover, in words.
+    """Conditions that the recordings do not cover, as ``wrist does not move``.
 
     The most important ones come first: joints that do not move, then missing
     directions, slow motion, reversals, fast motion, and range.
-
-    Returns:
-        For example ``wrist does not move`` or ``elbow moving down``.
     """
     found = [entry for i in range(gap.robot.size) for entry in _missing(gap, i)]
     return tuple(text for _, text in sorted(found, key=lambda entry: entry[0]))
@@ -40,7 +37,7 @@ def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
         yield 0, f"{name} does not move"
         return
     fewest, speed = _SHORTEST * gap.rate, np.abs(v)
-    still = 0.01 * speed.max()
+    still = STANDING * speed.max()
     for word, moving in (("up", v > still), ("down", v < -still)):
         if moving.sum() < fewest:
             yield 1, f"{name} moving {word}"
@@ -58,11 +55,43 @@ def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
 
 
 def reversals(v: Array, still: float) -> int:
-    """Count the changes of sign of a speed, without the samples at rest.
-
-    Args:
-        v: Speed, shape (N,), [rad/s].
-        still: Largest speed of a joint at rest, [rad/s].
-    """
+    """Count the changes of sign of a speed, (N,), without the samples at rest."""
     sign = np.sign(v[np.abs(v) > still])
     return int(np.count_nonzero(sign[1:] != sign[:-1]))
+
+
+def too_little_motion(gap: Gap) -> str | None:
+    """Say why recordings do not suffice for a diagnosis; ``None`` if they do."""
+    seconds = sum(float(m.t[-1] - m.t[0]) for m in gap.motions)
+    if seconds < _LEAST_SECONDS * (1 - 1e-3):
+        return (
+            f"{seconds:.3g} s of recording are too few to name a cause; valid are "
+            f"{_LEAST_SECONDS:g} s or more"
+        )
+    if gap.sampled.mask.sum() / gap.rate < _LEAST_SECONDS / 2:
+        return "less than half of the recordings can be used"
+    moving = gap.moving.sum(axis=0) / gap.rate >= _LEAST_MOVING
+    fewest = min(2, gap.robot.size)
+    if moving.sum() < fewest:
+        names = ", ".join(np.array(gap.robot.joints)[moving]) or "no joint"
+        return (
+            f"{names} alone moves: what acts on the others cannot be told from what "
+            f"acts on it; valid are motions of {fewest} joints or more"
+        )
+    return None
+
+
+def wrong_simulator(gap: Gap) -> str | None:
+    """Warn where the gap is larger than the measured torque; ``None`` elsewhere.
+
+    Squares are summed over joints in N²·m², so that the strong joints decide.
+    """
+    measured = np.where(gap.moving, gap.measured, 0.0)
+    left = np.where(gap.moving, gap.left, 0.0)
+    if np.sum(left**2) <= np.sum(measured**2):
+        return None
+    return (
+        "the torque that the simulator needs is farther from the measured one than "
+        "none at all: is it the file of this robot? is torque in N·m, and position in "
+        "radians?"
+    )

@@ -1,7 +1,5 @@
 """Faulty samples of a recording: frozen, saturated, or beside a jump of torque."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,17 +25,12 @@ _UNDER_WAY, _BESIDE = 0.05, 3  # of the highest speed; samples to either side
 
 @dataclass(frozen=True, eq=False)
 class Faults:
-    """Samples of a recording that cannot be used.
+    """Samples of a recording that cannot be used."""
 
-    Attributes:
-        posture: Samples whose position is wrong, for all joints, shape (N,).
-        torque: Samples whose torque is wrong, shape (N, n).
-        notes: The same in words.
-    """
-
+    # Samples whose position is wrong, for all joints, shape (N,).
     posture: NDArray[np.bool_]
-    torque: NDArray[np.bool_]
-    notes: tuple[str, ...]
+    torque: NDArray[np.bool_]  # samples whose torque is wrong, shape (N, n)
+    notes: tuple[str, ...]  # the same in words
 
 
 def find_faults(recording: Recording) -> Faults:

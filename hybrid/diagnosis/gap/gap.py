@@ -1,8 +1,6 @@
 """The gap: measured torque less the torque that the simulator needs."""
 
-from __future__ import annotations
-
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -22,6 +20,8 @@ Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 LOWER_BAND = 0.5  # of the cut-off: above it, derivatives of positions are mostly noise
 _VISIBLE = 0.7  # of the cut-off: an oscillation above it is lost in noise
 _FRICTION_BAND = 25.0  # Hz; band in which a reversal of dry friction is visible
+# Unit at a revolute joint -> unit at a prismatic joint.
+_PRISMATIC = (("kg·m²", "kg"), ("(N·m)", "N"), ("N·m", "N"), ("rad", "m"))
 _KEPT = 500  # columns of effects, which a search asks for again and again
 _SMALL = 0.01  # of the typical gain, step of a finite difference
 
@@ -31,36 +31,24 @@ class Gap:
     """Measured less simulated torque along some motions, filtered and decimated.
 
     M is the number of decimated samples of all motions, stacked.
-
-    Attributes:
-        robot: The simulator that is diagnosed.
-        motions: Motions with the simulated torque, of about twelve samples in a period
-            of the cut-off or the rate of the log. Columns made from the measured torque
-            would explain its noise.
-        bodies: The simulator's rigid body along each motion.
-        cutoff: Cut-off of the low-pass filter, [Hz].
-        period: Time between two samples of the logs, [s].
-        left: The gap, shape (M, n), [N·m].
-        moving: Whether a sample is used: the joint moves and the mask allows it,
-            shape (M, n).
-        fold: Cross-validation fold of each sample, shape (M,): a trajectory, or blocks
-            of 3 s where there are fewer than four trajectories.
-        trajectory: Recording of each sample, shape (M,).
-        notes: Which samples are not used, and why, in words.
-        subtracted: Torque that was subtracted from the logs before, shape (M, n),
-            [N·m].
     """
 
-    robot: Robot
+    robot: Robot  # the simulator that is diagnosed
+    # Motions with the simulated torque, of about twelve samples in a period of the
+    # cut-off or the rate of the log. Columns of the measured one explain its noise.
     motions: tuple[Motion, ...]
-    bodies: tuple[RigidBody, ...]
-    cutoff: float
-    period: float
-    left: Array
+    bodies: tuple[RigidBody, ...]  # the simulator's rigid body along each motion
+    cutoff: float  # cut-off of the low-pass filter, [Hz]
+    period: float  # time between two samples of the logs, [s]
+    left: Array  # the gap, shape (M, n), [N·m]
+    # Whether a sample is used: the joint moves and the mask allows it, shape (M, n).
     moving: NDArray[np.bool_]
+    # Cross-validation fold of each sample, shape (M,): a trajectory, or blocks of 3 s
+    # where there are fewer than four trajectories.
     fold: NDArray[np.intp]
-    trajectory: NDArray[np.intp]
-    notes: tuple[str, ...] = ()
+    trajectory: NDArray[np.intp]  # recording of each sample, shape (M,)
+    notes: tuple[str, ...] = ()  # which samples are not used, and why, in words
+    # Torque that was subtracted from the logs before, shape (M, n), [N·m].
     subtracted: Array | None = None
     _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 
@@ -94,9 +82,8 @@ class Gap:
             return np.concatenate([getattr(m, name)[:: s.factor] for m, _, s in self])
 
         t, q, v, a, tau, mask = map(stack, ("t", "q", "v", "a", "tau", "mask"))
-        warm = None
-        if all(m.temperature is not None for m in self.motions):
-            warm = stack("temperature")
+        known = all(m.temperature is not None for m in self.motions)
+        warm = stack("temperature") if known else None
         return Motion(t, q, v, a, tau, mask.astype(bool), warm, self.robot.joints)
 
     @cached_property
@@ -148,13 +135,11 @@ class Gap:
         parts = []
         lower = self.lower_band_reported if effect.reports else self.lower_band
         for motion, body, sampler in lower if lower_band else self:
+            columns = self._first(effect, motion, body)
             if effect.linearised and gains.any():
-                first = self._first(effect, motion, body)
-                rest = self._change(effect, motion, body) - first @ gains
-                along = rest[:, :, None] * gains / (gains @ gains)
-                parts.append(sampler(first + along))
-            else:
-                parts.append(sampler(self._first(effect, motion, body)))
+                rest = self._change(effect, motion, body) - columns @ gains
+                columns = columns + rest[:, :, None] * gains / (gains @ gains)
+            parts.append(sampler(columns))
         stacked = np.concatenate(parts)
         reached = effect.reaches(self.robot.size)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
@@ -187,12 +172,10 @@ class Gap:
         """Change of the simulated torque by an effect that changes signals, (N, r)."""
         reached = list(effect.reaches(self.robot.size))
         if effect.reports:
-            return (
-                effect.report(motion.t, motion.tau[:, reached]) - motion.tau[:, reached]
-            )
+            known = motion.tau[:, reached]
+            return effect.report(motion.t, known) - known
         seen = effect.observe(motion, body)
-        chain = self.robot.chain
-        tau = simulated_torque(self.robot, seen, RigidBody(chain, seen))
+        tau = simulated_torque(self.robot, seen, RigidBody(self.robot.chain, seen))
         return (tau - motion.tau)[:, reached]
 
     @cached_property
@@ -241,3 +224,21 @@ def simulated_torque(robot: Robot, motion: Motion, body: RigidBody) -> Array:
         + robot.joint_torque(motion.q, motion.v, motion.a)
         + robot.dry_friction(motion.v)
     )
+
+
+def units(robot: Robot, joints: Sequence[int]) -> tuple[str, str]:
+    """Units of position and torque: m and N if all joints are prismatic.
+
+    Otherwise they are rad and N·m, also for both kinds of joints together.
+    """
+    if len(joints) and not any(robot.chain.revolute[j] for j in joints):
+        return "m", "N"
+    return "rad", "N·m"
+
+
+def unit_at(robot: Robot, joints: Sequence[int], unit: str) -> str:
+    """Convert a unit that is stated for revolute joints to that of some joints."""
+    if units(robot, joints) == ("m", "N"):
+        for revolute, prismatic in _PRISMATIC:
+            unit = unit.replace(revolute, prismatic)
+    return unit

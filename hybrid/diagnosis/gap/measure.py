@@ -1,6 +1,4 @@
-"""Measurement of the gap between logs and a simulator."""
-
-from __future__ import annotations
+"""Measurement of the gap between logs and a simulator; its training and test set."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -8,19 +6,23 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.faults import Faults, find_faults
 from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.errors import RecordingError
-from hybrid.identification.preparation import decimated_motion, motions_from_logs
+from hybrid.identification.preparation import (
+    STANDING,
+    decimated_motion,
+    motions_from_logs,
+)
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 from hybrid.signals.filters import butterworth, filter_reach, passes_all
 
-_STANDING = 0.01  # of the highest speed
 _SLOWEST = 0.002  # rad/s or m/s, speed that noise shows at rest
 _REST = 0.7  # periods of the cut-off, reach of declared dry friction near rest
 _FAR = 10.0  # standard deviations of noise, of simulated from measured torque
@@ -28,6 +30,7 @@ NORMAL = 1.4826  # standard deviation of normal noise over its median size
 _BLOCK_SECONDS = 3.0
 _SHORTEST_BLOCK = 0.5  # s
 _MOST_FOLDS = 8
+_FAR_LARGER = 10.0  # times, of mean squares
 _FEWEST_MOVING = 0.05  # of all samples
 
 
@@ -50,26 +53,22 @@ def measure_gap(
         RecordingError: A recording has no torque, or there are motions alone and no
             cut-off.
     """
-    known = cutoff is not None or any(isinstance(x, Recording) for x in recordings)
-    if not known:
+    if cutoff is None and not any(isinstance(x, Recording) for x in recordings):
         raise RecordingError(
             "motions do not say how they were filtered; valid is a cut-off besides, "
             "in Hz"
         )
-    motions, cutoff = motions_from_logs(recordings, cutoff)
-    cutoff = min(cutoff, *(m.rate / 2 for m in motions))  # no filter lets through more
-    motions = [correct(m) for m in motions] if correct else motions
-    _check_torque(motions)
-    faults = [_faults(x, m, cutoff) for x, m in zip(recordings, motions, strict=True)]
+    logged, cutoff = motions_from_logs(recordings, cutoff)
+    cutoff = min(cutoff, *(m.rate / 2 for m in logged))  # no filter lets through more
+    logged = [_with_torque(correct(m) if correct else m) for m in logged]
+    faults = [_faults(x, m, cutoff) for x, m in zip(recordings, logged, strict=True)]
     motions = [
-        replace(m, mask=m.mask & ~f.posture)
-        for m, f in zip(motions, faults, strict=True)
+        decimated_motion(replace(m, mask=m.mask & ~f.posture), cutoff)
+        for m, f in zip(logged, faults, strict=True)
     ]
-    rates = [m.rate for m in motions]
-    motions = [decimated_motion(m, cutoff) for m in motions]
     speeds = [np.abs(m.v[m.mask]) for m in motions if m.mask.any()]
     fastest = np.max([x.max(axis=0) for x in speeds], axis=0, initial=0.0)
-    slowest = np.maximum(_STANDING * fastest, _SLOWEST)
+    slowest = np.maximum(STANDING * fastest, _SLOWEST)
     bodies = tuple(RigidBody(robot.chain, m) for m in motions)
     simulated, left, moving = [], [], []
     for r, (motion, body) in enumerate(zip(motions, bodies, strict=True)):
@@ -78,27 +77,26 @@ def measure_gap(
         left.append(sampler(motion.tau - tau))
         asked = _asked(motion, tau, cutoff)
         simulated.append(replace(motion, tau=tau, asked=asked, number=r))
-        usable = sampler.keep(motion.mask)[:, None]
-        every = round(rates[r] / motion.rate) * sampler.factor
-        usable = usable & ~faults[r].torque[::every]
+        every = round(logged[r].rate / motion.rate) * sampler.factor
+        usable = sampler.keep(motion.mask)[:, None] & ~faults[r].torque[::every]
         moving.append(usable & ~_standing(robot, motion, slowest, cutoff))
     fold, trajectory = _folds(motions, cutoff)
     used = np.concatenate(moving)
     used &= used.mean(axis=0) > _FEWEST_MOVING
     return Gap(
-        robot, tuple(simulated), bodies, cutoff, 1.0 / rates[0],
+        robot, tuple(simulated), bodies, cutoff, 1.0 / logged[0].rate,
         np.concatenate(left), used, fold, trajectory,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
 
 
-def _check_torque(motions: Sequence[Motion]) -> None:
-    for motion in motions:
-        if not np.isfinite(motion.tau).all():
-            raise RecordingError(
-                f"{motion.source or 'recording'}: no torque; valid is a log of time, "
-                "positions and torques"
-            )
+def _with_torque(motion: Motion) -> Motion:
+    if np.isfinite(motion.tau).all():
+        return motion
+    raise RecordingError(
+        f"{motion.source or 'recording'}: no torque; valid is a log of time, positions "
+        "and torques"
+    )
 
 
 def _standing(
@@ -158,14 +156,60 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
 
 def _around(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """Flags, shape (M, k), widened by a number of samples to both sides."""
-    window, near = np.ones(2 * reach + 1), np.zeros_like(flags)
-    for j in np.flatnonzero(flags.any(axis=0)):
-        # Mode "same" would be longer than the flags where the window is.
-        near[:, j] = np.convolve(flags[:, j], window)[reach : -reach or None] > 0.5
-    return near
+    return np.asarray(maximum_filter1d(flags, 2 * reach + 1, axis=0, mode="constant"))
 
 
 def block_seconds(motions: Sequence[Motion]) -> float:
     """Length of a block of time, [s]: 3 s, or less so that there are eight blocks."""
     total = sum(float(m.t[-1] - m.t[0]) for m in motions)
     return float(np.clip(total / _MOST_FOLDS, _SHORTEST_BLOCK, _BLOCK_SECONDS))
+
+
+def split(gap: Gap) -> NDArray[np.bool_]:
+    """Training samples, shape (M,); the others are the test set.
+
+    Every fourth trajectory is for testing. Where there are fewer than four, it is every
+    fourth block of time, less a part at both ends; see :func:`unseen_samples`. Another
+    split is taken where the test set alone holds squares that are far larger than all
+    of the training set.
+    """
+    part, count = gap.trajectory, gap.trajectory.max() + 1
+    masks = [part % 4 != k for k in (3, 2, 1, 0)]
+    if count < 4:
+        part = gap.fold * count + gap.trajectory
+        # Another block of each trajectory, as trajectories often end alike.
+        masks = [
+            (gap.fold + turn * gap.trajectory + more) % 4 != 3
+            for more in range(4) for turn in (1, 2, 0)
+        ]  # fmt: skip
+        masks = [x for x in masks if x.any() and not x.all()] or masks[:1]
+    most = _unusual(gap, part)
+    alone = [most[~x].max(initial=0.0) / most[x].max(initial=1e-300) for x in masks]
+    chosen = 0 if alone[0] < _FAR_LARGER else int(np.argmin(alone))
+    return np.asarray(masks[chosen])
+
+
+def _unusual(gap: Gap, part: NDArray[np.intp]) -> Array:
+    """Mean squares of each sample's part over the median of all parts, shape (M,).
+
+    The joint with the largest ratio counts.
+    """
+    parts, own = np.unique(part, return_inverse=True)
+    squares = np.where(gap.moving, gap.left, 0.0) ** 2
+    mean = np.stack([
+        squares[own == k].sum(axis=0) / np.maximum(gap.moving[own == k].sum(axis=0), 1)
+        for k in range(len(parts))
+    ])  # fmt: skip
+    usual = np.maximum(np.median(mean, axis=0), 1e-300)
+    return np.asarray((mean / usual).max(axis=1)[own])
+
+
+def unseen_samples(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Test samples beside given training samples, shape (M,).
+
+    Whole trajectories are tested; blocks of one lose a sixth at both ends.
+    """
+    if gap.trajectory.max() >= 3:
+        return ~learn
+    reach = round(block_seconds(gap.motions) / 6 * gap.rate)
+    return np.asarray(~maximum_filter1d(learn, 2 * reach + 1, mode="constant"))

@@ -1,12 +1,11 @@
 """The laws of a joint's servo, and its command, motion and torque."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,27 +39,19 @@ class Law:
     The feed-forward torque F is that of the simulator along the command, its gravity,
     or zero. The commanded speed v_ref may be absent. h is k_d times the delay of the
     speed that the servo measures, which is filtered or a difference of positions.
-
-    Attributes:
-        columns: The law's columns as combinations of a joint's signals, shape (9, p).
-        target: The torque to be explained as a combination of them, shape (9,).
-        scaled: Whether the first column is the feed-forward torque (with the declared
-            servo, where gains are given), for logs whose torque is off by a factor.
-            Stiffness and damping, where free, come next.
     """
 
+    # The law's columns as combinations of a joint's signals, shape (9, p).
     columns: Array
-    target: Array
+    target: Array  # the torque to be explained as a combination of them, shape (9,)
+    # Whether the first column is the feed-forward torque (with the declared servo,
+    # where gains are given), for logs whose torque is off by a factor. Stiffness and
+    # damping, where free, come next.
     scaled: bool
 
 
 def laws(kp: float = np.nan, kd: float = np.nan) -> Iterator[Law]:
-    """Yield every servo law, with free or with given stiffness and damping.
-
-    Args:
-        kp: Stiffness, [N·m/rad]; free if not given.
-        kd: Damping, [N·m·s/rad].
-    """
+    """Yield every servo law, with free or with given stiffness and damping."""
     unit = np.eye(SIGNALS)
     feeds = np.zeros(SIGNALS), unit[_FEED], unit[_WEIGHT]
     rest = [unit[_GROWTH], unit[_ONE]]
@@ -76,21 +67,14 @@ def laws(kp: float = np.nan, kd: float = np.nan) -> Iterator[Law]:
 
 @dataclass(frozen=True, eq=False)
 class ServoLog:
-    """One joint's command, motion and torque, filtered as the gap is.
+    """One joint's command, motion and torque, filtered as the gap is."""
 
-    Attributes:
-        row: Samples of the gap, shape (M,).
-        t: Their time, with a pause between recordings, shape (M,), [s].
-        own: Gravity torque, position, speed and acceleration, shape (M, 4).
-        asked: Feed-forward torque, commanded position and speed, as functions of time.
-        torque: Logged torque, as a function of time.
-    """
-
-    row: NDArray[np.intp]
-    t: Array
-    own: Array
+    row: NDArray[np.intp]  # samples of the gap, shape (M,)
+    t: Array  # their time, with a pause between recordings, shape (M,), [s]
+    own: Array  # gravity torque, position, speed and acceleration, shape (M, 4)
+    # Feed-forward torque, commanded position and speed, as functions of time.
     asked: CubicSpline
-    torque: CubicSpline
+    torque: CubicSpline  # logged torque, as a function of time
 
     def signals(self, late: float, shift: float) -> Array:
         """All signals at command latency T and torque delay S, [s], shape (M, 9)."""
@@ -124,12 +108,12 @@ class ServoLog:
         return np.stack([A.T @ A for A in signals])
 
     @cached_property
-    def thin(self) -> ServoLog:
+    def thin(self) -> Self:
         """A subset of the samples, to find an initial guess."""
         k = max(1, len(self.row) // _ENOUGH)
         return replace(self, row=self.row[::k], t=self.t[::k], own=self.own[::k])
 
-    def only(self, use: NDArray[np.bool_]) -> ServoLog:
+    def only(self, use: NDArray[np.bool_]) -> Self:
         """The samples of a mask over the gap's, shape (all,)."""
         k = use[self.row]
         return replace(self, row=self.row[k], t=self.t[k], own=self.own[k])
