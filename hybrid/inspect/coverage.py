@@ -71,8 +71,8 @@ class Excitation:
 def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]:
     """Motion and torque of every joint in a log on a uniform clock."""
     speed = np.abs(state.v) * (np.ptp(recording.q, axis=0) > 0)
-    fastest = speed.max(axis=0)
-    moving = np.mean(speed > CREEP * np.maximum(fastest, 1e-300), axis=0)
+    fastest = speed.max(axis=0).tolist()
+    moving = np.mean(speed > CREEP * np.maximum(fastest, 1e-300), axis=0).tolist()
     most = round(_LONGEST_LAG * recording.rate)
     found = []
     for j, joint in enumerate(recording.joints):
@@ -81,9 +81,8 @@ def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]
             torque = float(recording.tau[:, j].min()), float(recording.tau[:, j].max())
         if recording.command is not None and np.ptp(recording.command[:, j]) > 0:
             lag = _lag(recording.command[:, j], q, most) / recording.rate
-        motion = q.min(), q.max(), fastest[j], moving[j]
-        numbers = map(float, (*motion, resolution(q)))
-        found.append(JointCoverage(joint, *numbers, torque, lag))
+        ends, pace = (float(q.min()), float(q.max())), (fastest[j], moving[j])
+        found.append(JointCoverage(joint, *ends, *pace, resolution(q), torque, lag))
     return tuple(found)
 
 

@@ -14,8 +14,9 @@ that samples which a fit does not see tell less clearly.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -65,18 +66,26 @@ class _Readings:
             self._columns[key] = MassColumns(moved, self.masses[masses], Y)
         return self._columns[key]
 
-    def residual(self, reading: OtherReading, masses: str, **options: int) -> Array:
+    def residual(
+        self, reading: OtherReading, masses: str, *, rounds: int = 2, blocks: int = 1
+    ) -> Array:
         """Share of each torque's variance that a fit leaves, shape (n,)."""
         columns = self.columns(reading, masses)
-        left = columns.residual(*reading.torque, **options)
+        left = columns.residual(*reading.torque, rounds=rounds, blocks=blocks)
         return np.maximum(left, _FRICTION_ERROR) if masses == "file" else left
 
     def gains(
-        self, others: list[OtherReading], masses: str, **options: int
+        self,
+        others: list[OtherReading],
+        masses: str,
+        *,
+        rounds: int = 2,
+        blocks: int = 1,
     ) -> list[float]:
         """Gain of other readings over the log as written."""
-        before = self.residual(self.written, masses, **options)
-        return [_gain(before, self.residual(x, masses, **options), x) for x in others]
+        left = partial(self.residual, masses=masses, rounds=rounds, blocks=blocks)
+        before = left(self.written)
+        return [_gain(before, left(x), x) for x in others]
 
 
 def doubts_of_magnitude(
