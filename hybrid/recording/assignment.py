@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hybrid.errors import RecordingError, warn
+from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.joints import match_joints
 from hybrid.recording.labels import (
@@ -61,7 +61,7 @@ class Assignment:
         self.joints = joints or self.map.joints or table.joints or ()
         self.unused: dict[int, str] = {}  # column -> reason
 
-    def reading(self, *, quiet: bool = False) -> Reading:
+    def reading(self) -> Reading:
         """Assign all columns."""
         try:
             time = self._time()
@@ -77,19 +77,16 @@ class Assignment:
             if channel in required and not assigned:
                 raise self._missing_error(channel)
             used += assigned
-        taken = {u.index for u in used}
-        unused = {
-            k: self.unused.get(k, "not used")
+        taken, table = {u.index for u in used}, self.table
+        aside = [
+            (label, self.unused.get(k, "not used"))
             for k, label in enumerate(self.labels)
             if label and k not in taken
-        }
-        if not quiet:
-            self._warn([self.labels[k] for k in unused], stated=used[1].stated)
+        ]
+        notes = (table.note,) if table.note else ()
         return Reading(
-            self.table.kind, self.table.name, self.map.preset, tuple(used),
-            tuple((self.labels[k], why) for k, why in unused.items()),
-            (self.table.note,) if self.table.note else (),
-        )  # fmt: skip
+            table.kind, table.name, self.map.preset, tuple(used), tuple(aside), notes
+        )
 
     def command_reading(self) -> Reading | None:
         """Assign the columns of the command alone; None if there are none."""
@@ -101,18 +98,6 @@ class Assignment:
             return None
         table = self.table
         return Reading(table.kind, table.name, "", (time, *used)) if used else None
-
-    def _warn(self, unused: list[str], stated: bool) -> None:
-        home = self.table.home or self.table.place
-        lines = [f"ignored columns: {_listed(unused)}"] if unused else []
-        if self.map.preset == "lerobot" and not stated:
-            lines.append(
-                "units are not in a LeRobot dataset: positions are taken as radians; "
-                "if they are degrees, use --map FILE.yaml with q: {unit: deg}, "
-                "command: {unit: deg}"
-            )
-        for line in lines:
-            warn(f"{home}: {line}")
 
     def _label(self, column: Meaning) -> str:
         return self.labels[column.index]
@@ -136,7 +121,7 @@ class Assignment:
             what = "no column of time" if not found else "more than one column of time"
         if len(found) != 1:
             raise self._error(
-                f"{what} among {_listed(self.labels)}; valid is one of "
+                f"{what} among {listed(self.labels)}; valid is one of "
                 f"{', '.join(TIME)}, in seconds or with its unit (time_ms), {_HELP}"
             )
         label = self.labels[found[0]]
@@ -189,7 +174,7 @@ class Assignment:
             if not found and self.map.own(channel):
                 raise ValueError(f"no column like {source.columns!r}")
         except ValueError as error:
-            among = _listed(self.labels)
+            among = listed(self.labels)
             raise self._error(f"{error} for {where} among {among}") from error
         columns = []
         for k, joint in found.items():
@@ -204,14 +189,14 @@ class Assignment:
                     if why.startswith("current")]  # fmt: skip
         if channel == "tau" and currents:
             return self._error(
-                f"no torques, but currents ({_listed(currents)}); valid is --map "
+                f"no torques, but currents ({listed(currents)}); valid is --map "
                 "FILE.yaml with tau: {torque_constant: N·m/A, gear_ratio: ...}, each a "
                 "number or a list in the order of the joints"
             )
         words = [w for w in CHANNEL_WORDS[channel].split()[:3] if w != "tauj"]
         kind = NoJointsError if channel == "q" else RecordingError
         return kind(
-            f"{self.table.place}: no {word} among the columns {_listed(self.labels)}; "
+            f"{self.table.place}: no {word} among the columns {listed(self.labels)}; "
             f"valid are {', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {_HELP}"
         )
 
@@ -248,7 +233,7 @@ class Assignment:
             good = [""]
         if len(good) != 1:
             raise self._error(
-                f"columns of {columns[0].channel} under {_listed([*groups])}"
+                f"columns of {columns[0].channel} under {listed([*groups])}"
                 f", {len(good) or 'none'} of them for the joints; valid is --map "
                 "FILE.yaml with topic: and the beginning of the right ones"
             )
@@ -287,7 +272,7 @@ class Assignment:
             extra and places[extra[0]].number is not None
         ):
             raise self._error(
-                f"columns of {channel} ({_listed([self._label(c) for c in columns])}): "
+                f"columns of {channel} ({listed([self._label(c) for c in columns])}): "
                 f"{joint_mismatch(tuple(places), joints)}"
             )
         for joint in extra:
@@ -341,7 +326,7 @@ class Assignment:
         )
 
 
-def _listed(labels: Sequence[str]) -> str:
+def listed(labels: Sequence[str]) -> str:
     """List at most twelve labels for a message, and count the others."""
     shown = ", ".join(label[:80] for label in labels[:12])
     return shown if len(labels) <= 12 else f"{shown} and {len(labels) - 12} more"
