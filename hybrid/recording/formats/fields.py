@@ -29,18 +29,13 @@ def field_table(
 
     def load(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
         fields = get(dict.fromkeys(layout[k][1] for k in used))
-        return [{k: _column(fields, layout[k], source) for k in used}]
+        columns = {}
+        for k in used:
+            _, name, place = layout[k]
+            columns[k] = fields[name] if place is None else fields[name][:, place]
+        return [columns]
 
     return LogTable(source, tuple(label for label, _, _ in layout), load, **more)
-
-
-def _column(fields: Fields, column: FieldColumn, source: str) -> NDArray[Any]:
-    _, name, place = column
-    if place is None:
-        return fields[name]
-    if fields[name].shape[1] <= place:
-        raise RecordingError(f"{source}: lists of {name!r} of many lengths")
-    return fields[name][:, place]
 
 
 def table_of_arrays(
