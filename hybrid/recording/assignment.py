@@ -21,7 +21,7 @@ from hybrid.recording.labels import (
     parse_label,
     split_unit,
 )
-from hybrid.recording.mapping import Mapping, preset_of
+from hybrid.recording.mapping import Mapping, Source, preset_of
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
 from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError
@@ -55,10 +55,10 @@ class Assignment:
             )
         # One character more than the longest label that may have a meaning.
         labels = tuple(printable(x.strip())[: LONGEST + 1] for x in table.labels)
-        preset = preset_of(labels, mapping.preset or table.preset)
         self.table, self.labels, self.torque = table, labels, torque
-        self.map = mapping.over(preset)
-        self.joints = joints or self.map.joints or table.joints or ()
+        self.map = mapping
+        self.preset = preset_of(labels, mapping.preset or table.preset)
+        self.joints = joints or mapping.joints or table.joints or ()
         self.unused: dict[int, str] = {}  # column -> reason
 
     def reading(self) -> Reading:
@@ -85,7 +85,7 @@ class Assignment:
         ]
         notes = (table.note,) if table.note else ()
         return Reading(
-            table.kind, table.name, self.map.preset, tuple(used), tuple(aside), notes
+            table.kind, table.name, self.preset.preset, tuple(used), tuple(aside), notes
         )
 
     def command_reading(self) -> Reading | None:
@@ -102,16 +102,21 @@ class Assignment:
     def _label(self, column: Meaning) -> str:
         return self.labels[column.index]
 
+    def _source(self, channel: str) -> Source:
+        """Source of a channel by the map, completed by the preset."""
+        return self.map.source(channel).over(self.preset.source(channel))
+
     def _error(self, text: str) -> RecordingError:
         return RecordingError(f"{self.table.place}: {text}")
 
     def _time(self) -> Used:
         """Find the column of time; its index is -1 if the map gives a rate."""
-        source, name = self.map.source("time"), self.map.source("time").columns
+        source = self._source("time")
+        name = source.columns
         if "rate" in source.factors:
             step = 1 / source.factor("time", 0)
             return Used(-1, "", "t", "", "s", True, step)
-        if name is not None and (self.map.own("time") or name in self.labels):
+        if name is not None and ("time" in self.map.sources or name in self.labels):
             found = [k for k, x in enumerate(self.labels) if x == name]
             what = f"no column {name!r}"
         else:
@@ -166,12 +171,12 @@ class Assignment:
         return found
 
     def _by_map(self, channel: str) -> list[Meaning]:
-        source, where = self.map.source(channel), f"{channel} of {self.map.origin}"
+        source, where = self._source(channel), f"{channel} of {self.map.origin}"
         if source.columns is None:
             return []
         try:
             found = source.found(self.labels)
-            if not found and self.map.own(channel):
+            if not found and channel in self.map.sources:
                 raise ValueError(f"no column like {source.columns!r}")
         except ValueError as error:
             among = listed(self.labels)
@@ -283,7 +288,7 @@ class Assignment:
         self, channel: str, columns: Sequence[Meaning], joints: tuple[str, ...]
     ) -> list[Used]:
         """Columns of a channel with their units; none for currents without a factor."""
-        source, used = self.map.source(channel), []
+        source, used = self._source(channel), []
         constant = "torque_constant" in source.factors
         for place, (column, joint) in enumerate(zip(columns, joints, strict=True)):
             unit = self._unit(channel, column)
@@ -304,17 +309,14 @@ class Assignment:
 
     def _unit(self, channel: str, column: Meaning) -> str:
         """Unit of a column, from the user, the label, the file or the preset."""
-        source = self.map.source(channel)
-        stated = [source.unit, column.unit, self.table.unit(column.index)]
-        if not self.map.own(channel):  # the file overrules a preset
-            stated = [*stated[1:], source.unit]
-        if column.channel == "current" or "torque_constant" in source.factors:
-            stated.append("A")
-        return next(filter(None, stated), "")
+        own, preset = self.map.source(channel), self.preset.source(channel)
+        of_file = column.unit or self.table.unit(column.index)
+        current = column.channel == "current" or "torque_constant" in own.factors
+        return own.unit or of_file or preset.unit or ("A" if current else "")
 
     def _is_ignored_current(self, column: Meaning) -> bool:
         """Tell whether a current is ignored, and not refused as a wrong torque."""
-        of_preset = bool(self.map.preset) and not self.map.own("tau")
+        of_preset = bool(self.preset.preset) and "tau" not in self.map.sources
         return not self.torque or column.channel == "current" or of_preset
 
     def _unit_error(self, label: str, unit: str, channel: str) -> RecordingError:
