@@ -137,18 +137,16 @@ class Assignment:
 
     def _columns(self, time: int) -> dict[str, list[Meaning]]:
         """Find the columns of each channel, by the map or by their labels."""
-        labelled, found = self._by_label(time), {}
+        labelled = self._by_label(time)
+        currents = labelled.get("current", [])
+        labelled.setdefault("tau", currents)
+        found: dict[str, list[Meaning]] = {}
         for channel in CHANNELS:
             dropped = self.map.source(channel).dropped
-            mapped = [] if dropped else self._by_map(channel)
-            found[channel] = mapped or ([] if dropped else labelled.get(channel, []))
-        currents = labelled.get("current", [])
-        if not found["tau"] and not self.map.source("tau").dropped:
-            found["tau"] = currents
-        taken = {c.index for columns in found.values() for c in columns}
-        for c in currents:
-            if c.index not in taken:
-                self.unused[c.index] = "current, beside a torque"
+            alike = labelled.get(channel, [])
+            found[channel] = [] if dropped else self._by_map(channel) or alike
+        if found["tau"] is not currents:
+            self.unused |= {c.index: "current, beside a torque" for c in currents}
         return found
 
     def _by_label(self, time: int) -> dict[str, list[Meaning]]:
