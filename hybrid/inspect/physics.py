@@ -23,7 +23,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics, regressor
 from hybrid.inspect.doubt import Doubt, Severity, error_if
-from hybrid.inspect.masses import MassColumns, unit_masses
+from hybrid.inspect.masses import MassColumns, smooth_sign, unit_masses
 from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.samples import STILL
 from hybrid.inspect.speeds import speeds_confirm_clock
@@ -101,13 +101,12 @@ def doubts_of_magnitude(
     suspect = (tau.min(axis=0) >= 0) & near_zero  # False where tau is NaN
     if robot is None or not suspect.any():
         return
-    chain, (q, v, a) = robot.chain, (state.q, state.v, state.a)
-    masses, Y = unit_masses(chain), regressor(chain, q, v, a)
+    chain, motion = robot.chain, (state.q, state.v, state.a)
+    masses, Y = unit_masses(chain), regressor(chain, *motion)
     plain = np.arange(chain.size), np.ones(chain.size)
     before = after = MassColumns(state, masses, Y).residual(*plain)
-    fastest = np.maximum(np.abs(v).max(axis=0), 1e-12)
-    dry = _DRY * state.tau.mean(axis=0) * np.tanh(v / (0.1 * fastest))
-    likely = inverse_dynamics(chain, chain.inertial, q, v, a) + dry
+    likely = inverse_dynamics(chain, chain.inertial, *motion)
+    likely += _DRY * state.tau.mean(axis=0) * smooth_sign(state.v)
     for _ in range(_SIGN_ROUNDS):
         sign = np.where(suspect & (likely < 0), -1.0, 1.0)
         columns = MassColumns(replace(state, tau=sign * state.tau), masses, Y)
