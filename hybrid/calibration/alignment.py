@@ -6,8 +6,6 @@ replaces it: Shah 2013, doi 10.1115/1.4024473. It needs no initial estimate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hybrid.arrays import Array
@@ -17,24 +15,9 @@ from hybrid.calibration.steps import FixedStep, Frame
 IDENTITY = FixedStep(np.eye(3), np.zeros(3))
 
 
-@dataclass(frozen=True)
-class Alignment:
-    """Initial estimates.
-
-    Attributes:
-        base: Base of the arm in the instrument's frame.
-        tools: Frame of each measured point in the flange's frame.
-        stations: Stations of a distance meter in the base frame, shape (s, 3), [m].
-    """
-
-    base: FixedStep
-    tools: tuple[FixedStep, ...]
-    stations: Array
-
-
 def align(
     flange: Frame, data: Measurements, *, base: bool = True, tool: bool = True
-) -> Alignment:
+) -> tuple[FixedStep, tuple[FixedStep, ...], Array]:
     """Estimate base and tool frames, or stations, with the nominal arm.
 
     Args:
@@ -42,10 +25,14 @@ def align(
         data: Measurements in these poses.
         base: Whether the base is unknown; else it is the instrument's frame.
         tool: Whether the tool is unknown; else it is the flange.
+
+    Returns:
+        Base of the arm in the instrument's frame, frame of each measured point in the
+        flange's frame, and stations of a distance meter in the base frame, shape
+        (s, 3), [m].
     """
     if data.distance is not None:
-        return Alignment(IDENTITY, (IDENTITY,), _stations(flange.origin, data.distance))
-    nowhere = np.zeros((0, 3))
+        return IDENTITY, (IDENTITY,), _stations(flange.origin, data.distance)
     points = data.position
     if data.rotation is not None:  # use the tips of the tool's axes as points
         points = points + np.concatenate(
@@ -55,16 +42,14 @@ def align(
     turn = _nearest_rotation(M).T
     rotation = np.eye(3)
     if data.rotation is not None:
-        if tool:
-            rotation = _nearest_rotation((offsets[1:] - offsets[0]).T)
+        rotation = _nearest_rotation((offsets[1:] - offsets[0]).T)
         offsets = offsets[:1]
     reached = flange.origin[:, None] + offsets @ flange.rotation.swapaxes(1, 2)
-    shift = np.nanmean(data.position - reached @ turn.T, axis=(0, 1))
-    return Alignment(
-        FixedStep(turn, shift if base else np.zeros(3)),
-        tuple(FixedStep(rotation, offset) for offset in offsets),
-        nowhere,
-    )
+    shift = np.zeros(3)
+    if base:
+        shift = np.nanmean(data.position - reached @ turn.T, axis=(0, 1))
+    tools = tuple(FixedStep(rotation, offset) for offset in offsets)
+    return FixedStep(turn, shift), tools, np.zeros((0, 3))
 
 
 def _linear(

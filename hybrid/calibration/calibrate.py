@@ -236,16 +236,18 @@ def build_setup(
     _check(robot, data, free)
     geometry = geometry_from_chain(robot.chain)
     flange = follow(start(data.q), geometry.steps, data.q, {})
-    guess = align(flange, data, base="base" in free, tool="tool" in free)
-    base: Steps = () if data.stations else (guess.base, *free_frame("base"))
+    place, frames, stations = align(
+        flange, data, base="base" in free, tool="tool" in free
+    )
+    base: Steps = () if data.stations else (place, *free_frame("base"))
     names = ["tool"]
     if data.reflectors > 1:
         names = [f"reflector_{j + 1}" for j in range(data.reflectors)]
     tools: tuple[Steps, ...] = tuple(
         (tool, *free_frame(name, turns=data.rotation is not None))
-        for name, tool in zip(names, guess.tools, strict=True)
+        for name, tool in zip(names, frames, strict=True)
     )
-    model = KinematicModel((*base, *geometry.steps), tools, guess.stations)
+    model = KinematicModel((*base, *geometry.steps), tools, stations)
     labels = sorted(
         (x for x in model.labels if _group(x) in free or x.startswith("station_")),
         key=_rank,
