@@ -61,8 +61,8 @@ class Assignment:
         self.joints = joints or mapping.joints or table.joints or ()
         self.unused: dict[int, str] = {}  # column -> reason
 
-    def reading(self) -> Reading:
-        """Assign all columns."""
+    def reading(self, channels: tuple[str, ...] = CHANNELS) -> Reading:
+        """Assign the columns of some channels; by default of all."""
         try:
             time = self._time()
         except RecordingError as error:
@@ -72,7 +72,7 @@ class Assignment:
         columns = self._columns(time.index)
         required = _REQUIRED if self.torque else _REQUIRED[:1]
         joints, used = self.joints or self._joints_of(columns), [time]
-        for channel in CHANNELS:
+        for channel in channels:
             assigned = self._assigned(channel, columns[channel], joints)
             if channel in required and not assigned:
                 raise self._missing_error(channel)
@@ -87,17 +87,6 @@ class Assignment:
         return Reading(
             table.kind, table.name, self.preset.preset, tuple(used), tuple(aside), notes
         )
-
-    def command_reading(self) -> Reading | None:
-        """Assign the columns of the command alone; None if there are none."""
-        try:
-            time = self._time()
-            columns = self._columns(time.index)["command"]
-            used = self._assigned("command", columns, self.joints)
-        except RecordingError:
-            return None
-        table = self.table
-        return Reading(table.kind, table.name, "", (time, *used)) if used else None
 
     def _label(self, column: Meaning) -> str:
         return self.labels[column.index]

@@ -36,12 +36,17 @@ def recording_of(
     main, reading = _best(tables, joints, mapping, torque)
     _warn(main, reading)
     recording = _built(main, reading, torque=torque)
+    all_topics = replace(mapping, topic="")
     for table in tables if recording.command is None else ():
-        if table is not main:
-            all_topics = replace(mapping, topic="")
-            other = Assignment(table, recording.joints, all_topics, False)
-            if commanded := other.command_reading():
-                return _with_command(recording, main, table, commanded)
+        if table is main:
+            continue
+        other = Assignment(table, recording.joints, all_topics, False)
+        try:
+            commanded = other.reading(("command",))
+        except RecordingError:  # of other joints
+            continue
+        if commanded.channels:
+            return _with_command(recording, main, table, commanded)
     return recording
 
 
