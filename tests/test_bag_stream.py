@@ -9,9 +9,9 @@ from rosbags.rosbag2 import StoragePlugin
 
 from hybrid.errors import HybridWarning
 from hybrid.recording import build, read
+from hybrid.recording.build import recording_of
 from hybrid.recording.formats import stream
 from hybrid.recording.formats.stream import Stream
-from hybrid.recording.streams import recording_of
 from hybrid.recording.table import LogTable
 
 

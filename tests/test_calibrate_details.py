@@ -132,12 +132,13 @@ def test_frames_of_an_exact_arm_are_guessed_exactly(base, tool, far):
     if not tool:
         X, x = np.eye(3), np.zeros(3)
     seen, turn = (p + R @ x) @ B.T + b, B @ R @ X
-    found = align(frame, Measurements(q, seen[:, None], turn), base=base, tool=tool)
-    np.testing.assert_allclose(found.base.rotation, B, atol=1e-9)
-    np.testing.assert_allclose(found.base.translation, b, atol=1e-9)
-    np.testing.assert_allclose(found.tools[0].rotation, X, atol=1e-9)
-    np.testing.assert_allclose(found.tools[0].translation, x, atol=1e-9)
-    assert found.stations.shape == (0, 3)
+    measurements = Measurements(q, seen[:, None], turn)
+    place, (end,), stations = align(frame, measurements, base=base, tool=tool)
+    np.testing.assert_allclose(place.rotation, B, atol=1e-9)
+    np.testing.assert_allclose(place.translation, b, atol=1e-9)
+    np.testing.assert_allclose(end.rotation, X, atol=1e-9)
+    np.testing.assert_allclose(end.translation, x, atol=1e-9)
+    assert stations.shape == (0, 3)
 
 
 def test_nothing_unknown_is_guessed():

@@ -102,15 +102,14 @@ class Told:
     ``first`` are gains by fits without weights, and ``unseen`` on samples not seen.
     """
 
+    gains, written = physics._Readings.gains, object()
+
     def __init__(self, gains, first=None, unseen=lambda blocks: 9.0, before=0.9):
-        self.gains = gains if isinstance(gains, dict) else {"any": gains}
+        self.stated = gains if isinstance(gains, dict) else {"any": gains}
         self.first, self.unseen_gain, self.before = first, unseen, before
-        self.masses = dict.fromkeys(self.gains)
+        self.masses = dict.fromkeys(self.stated)
         self.chain = SimpleNamespace(size=2)
         self.state = SimpleNamespace(q=np.array([[0.0, 0.0], [1.0, 1.0]]))
-
-    def add_regressors(self, readings):
-        assert len(readings) > 0
 
     def columns(self, *_):
         return SimpleNamespace(residual_of_pairs=lambda: np.ones((2, 2)))
@@ -118,19 +117,17 @@ class Told:
     def left(self, gain):
         return np.array([self.before * np.exp(-2 * gain), self.before])
 
-    def residual(self, reading, masses, rounds=2):
-        if not hasattr(reading, "number"):
+    def residual(self, reading, masses, rounds=2, blocks=1):
+        if reading is self.written:
             return self.left(0.0)
-        gains = self.first if self.first and rounds == 1 else self.gains[masses]
+        if blocks > 1:
+            return self.left(self.unseen_gain(blocks))
+        gains = self.first if self.first and rounds == 1 else self.stated[masses]
         return self.left(gains[reading.number])
-
-    def unseen(self, reading, masses, blocks):
-        named = hasattr(reading, "number")
-        return self.left(self.unseen_gain(blocks) if named else 0.0)
 
     def better(self, *, of_time=-1, clock_is_right=False):
         """Number, masses and severity of the better reading; None without one."""
-        count = len(next(iter(self.gains.values())))
+        count = len(next(iter(self.stated.values())))
         listed = [
             SimpleNamespace(
                 number=k,

@@ -9,20 +9,6 @@ from hybrid.recording.mapping import Mapping, Source, preset_of, read_mapping
 from hybrid.recording.read import recording_from_table
 
 
-def test_a_map_is_above_what_completes_it():
-    above = Mapping("lerobot", ("a",), sources={"q": Source("x{}"), "v": Source("v{}")})
-    below = Mapping("plotjuggler", ("b",), sources={"q": Source(unit="deg"),
-                                                    "tau": Source("t{}")})  # fmt: skip
-    both = above.over(below)
-    assert (both.preset, both.joints) == ("lerobot", ("a",))
-    assert both.sources == {
-        "q": Source("x{}", "deg"), "v": Source("v{}"), "tau": Source("t{}"),
-    }  # fmt: skip
-    plain = Mapping().over(below)
-    assert (plain.preset, plain.joints) == ("plotjuggler", ("b",))
-    assert Mapping(joints=("a",)).over(Mapping()).joints == ("a",)
-
-
 def test_a_source_keeps_its_own_columns_unit_and_factors():
     above = Source("q{}", "", {"scale": 2.0}, dropped=True)
     below = Source("x{}", "deg", {"scale": 3.0, "ratio": 4.0})
@@ -87,12 +73,19 @@ def test_a_preset_is_known_by_its_name_or_by_the_labels_of_a_log():
     assert preset_of((), "plotjuggler").preset == "plotjuggler"
     assert preset_of(("__time", "x")).preset == "plotjuggler"
     assert preset_of(("x",)) == Mapping()
-    made = read_mapping("ur_driver")
-    assert made.preset == "ur_driver" and made.source("tau").unit == "A"
-    assert not made.own("tau") and read_mapping({"tau": "t{}"}).own("tau")
-    own = read_mapping({"preset": "ur_driver", "q": {"unit": "deg"}})
-    assert own.own("q") and not own.own("v")
-    assert own.source("q").unit == "deg" and own.source("v").unit == "rad/s"
+    assert read_mapping("ur_driver") == Mapping("ur_driver", origin="ur_driver")
+    assert preset_of((), "ur_driver").source("tau").unit == "A"
+
+
+def test_a_map_is_above_its_preset_channel_by_channel():
+    table = {"t": np.arange(9.0), "position_a": np.full(9, 90.0)}
+    table["velocity_a"] = np.ones(9)
+    own = {"preset": "ur_driver", "q": {"unit": "deg"}}
+    log = recording_from_table(table, joints=("a",), map=own, torque=False)
+    np.testing.assert_allclose(log.q, np.pi / 2)
+    units = {u.channel: (u.unit, u.stated) for u in log.reading.columns}
+    assert units["q"] == ("deg", True) and units["v"] == ("rad/s", True)
+    assert log.reading.preset == "ur_driver"
 
 
 @pytest.mark.parametrize(

@@ -47,9 +47,7 @@ def test_densities_are_those_of_welch_with_four_seconds_a_segment(count):
     """Of a derivative and its own derivative, without what differences lose."""
     u, v = noise(count, 1).cumsum(axis=0), noise(count, 2)
     size = min(count, 400)
-    segments = 2 * count // size - 1
-    f, number, found = _densities(u, v, RATE)
-    assert number == segments
+    f, found = _densities(u, v, RATE)
     a = np.gradient(u, axis=0) * RATE
     lost = np.sinc(2 * f / RATE)[:, None]
     signals = {"u": (u, lost), "a": (a, lost**2), "v": (v, 1.0)}
@@ -95,7 +93,7 @@ def test_a_comparison_is_weighted_by_the_noise_of_both():
     log = swinging(scale=0.98, late=0.002, jitter=1e-4)
     u = np.gradient(log.q, axis=0) * RATE
     found = _compare(u, log.v, RATE)
-    f, count, every = _densities(u, log.v, RATE)
+    f, every = _densities(u, log.v, RATE)
     uu, vv, uv, aa, av, au = (x.real for x in every)
     omega, band = 2 * np.pi * f[:, None], f > 0.3 * RATE - 0.2
     alike = np.mean((np.abs(every[2]) ** 2 / (uu * vv))[band], axis=0)
@@ -116,8 +114,6 @@ def test_a_comparison_is_weighted_by_the_noise_of_both():
         scale = sums["uv"] / signal.sum()
         assert found.scale[j] == pytest.approx(scale, rel=1e-9)
         off = np.maximum(vv[:, j] / scale**2 + uu[:, j] - 2 * uv[:, j] / scale, 0.0)
-        std = np.sqrt((signal * w * off).sum() / count) / signal.sum()
-        assert found.scale_std[j] == pytest.approx(std, rel=1e-9)
         like = sums["uv"] ** 2 / sums["uu"] / sums["vv"]
         assert found.coherence[j] == pytest.approx(like, rel=1e-9)
         position = (omega**2 * white)[:, j]
@@ -183,7 +179,7 @@ def drifting(*, late=0.0, scale=1.0, size=1e-3):
     )  # fmt: skip
     one, f = np.ones(1), np.arange(0.25, 45.0, 0.25)
     weight = np.full((len(f), 1), 0.5)
-    check = SpeedCheck(scale * one, 0 * one, late * one, one, 0 * one, one, f, weight)
+    check = SpeedCheck(scale * one, late * one, one, 0 * one, one, f, weight)
     return log, check, error
 
 

@@ -6,8 +6,6 @@ replaces it: Shah 2013, doi 10.1115/1.4024473. It needs no initial estimate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hybrid.arrays import Array
@@ -17,24 +15,9 @@ from hybrid.calibration.steps import FixedStep, Frame
 IDENTITY = FixedStep(np.eye(3), np.zeros(3))
 
 
-@dataclass(frozen=True)
-class Alignment:
-    """Initial estimates.
-
-    Attributes:
-        base: Base of the arm in the instrument's frame.
-        tools: Frame of each measured point in the flange's frame.
-        stations: Stations of a distance meter in the base frame, shape (s, 3), [m].
-    """
-
-    base: FixedStep
-    tools: tuple[FixedStep, ...]
-    stations: Array
-
-
 def align(
     flange: Frame, data: Measurements, *, base: bool = True, tool: bool = True
-) -> Alignment:
+) -> tuple[FixedStep, tuple[FixedStep, ...], Array]:
     """Estimate base and tool frames, or stations, with the nominal arm.
 
     Args:
@@ -42,10 +25,14 @@ def align(
         data: Measurements in these poses.
         base: Whether the base is unknown; else it is the instrument's frame.
         tool: Whether the tool is unknown; else it is the flange.
+
+    Returns:
+        Base of the arm in the instrument's frame, frame of each measured point in the
+        flange's frame, and stations of a distance meter in the base frame, shape
+        (s, 3), [m].
     """
     if data.distance is not None:
-        return Alignment(IDENTITY, (IDENTITY,), _stations(flange.origin, data.distance))
-    nowhere = np.zeros((0, 3))
+        return IDENTITY, (IDENTITY,), _stations(flange.origin, data.distance)
     points = data.position
     if data.rotation is not None:  # use the tips of the tool's axes as points
         points = points + np.concatenate(
@@ -55,46 +42,40 @@ def align(
     turn = _nearest_rotation(M).T
     rotation = np.eye(3)
     if data.rotation is not None:
-        if tool:
-            rotation = _nearest_rotation((offsets[1:] - offsets[0]).T)
+        rotation = _nearest_rotation((offsets[1:] - offsets[0]).T)
         offsets = offsets[:1]
     reached = flange.origin[:, None] + offsets @ flange.rotation.swapaxes(1, 2)
-    shift = np.nanmean(data.position - reached @ turn.T, axis=(0, 1))
-    return Alignment(
-        FixedStep(turn, shift if base else np.zeros(3)),
-        tuple(FixedStep(rotation, offset) for offset in offsets),
-        nowhere,
-    )
+    shift = np.zeros(3)
+    if base:
+        shift = np.nanmean(data.position - reached @ turn.T, axis=(0, 1))
+    tools = tuple(FixedStep(rotation, offset) for offset in offsets)
+    return FixedStep(turn, shift), tools, np.zeros((0, 3))
 
 
 def _linear(
     flange: Frame, points: Array, *, base: bool, tool: bool
 ) -> tuple[Array, Array]:
-    """Solve M p + u − R x = t for M, u and the offset x of each point."""
+    """Solve M p + u − R x = t for M, u and the offset x of each point.
+
+    A known base has M = 1 and u = 0. A known tool has its tips on the flange's axes.
+    """
     count = points.shape[1]
-    if not (base or tool):
-        return np.eye(3), np.zeros((count, 3))
-    center = np.nanmean(points, axis=(0, 1))
-    blocks, targets = [], []
-    for j in range(count):
-        p, R, t = points[:, j] - center, flange.rotation, flange.origin
-        own = np.zeros((len(p), 3, 3 * count))
-        own[:, :, 3 * j : 3 * j + 3] = -R
-        entries = np.einsum("ab,nc->nabc", np.eye(3), p).reshape(len(p), 3, 9)
-        shift = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-        columns = ([entries, shift] if base else []) + ([own] if tool else [])
-        offset = np.eye(4, 3, -1)[j] if points.shape[1] == 4 else np.zeros(3)
-        target = t if tool else t + R @ offset
-        target = target if base else target - points[:, j]
-        seen = np.isfinite(p).all(axis=1)
-        blocks.append(np.concatenate(columns, axis=-1)[seen])
-        targets.append(target[seen])
-    A = np.concatenate(blocks).reshape(-1, blocks[0].shape[-1])
-    # Directions that these poses hardly determine stay at zero.
-    solution = np.linalg.lstsq(A, np.concatenate(targets).ravel(), rcond=1e-3)[0]
-    M = solution[:9].reshape(3, 3) if base else np.eye(3)
-    offsets = solution[12 if base else 0 :] if tool else np.zeros(3 * count)
-    return M, offsets.reshape(count, 3)
+    tips = np.eye(4, 3, -1)[:count]
+    solution = np.concatenate([np.eye(3).ravel(), np.zeros(3), tips.ravel()])
+    free = np.repeat([base, tool], [12, 3 * count])
+    p = points - np.nanmean(points, axis=(0, 1)) * base
+    shape = (*p.shape[:2], 3, -1)
+    entries = np.einsum("ab,njc->njabc", np.eye(3), p).reshape(*p.shape[:2], 3, 9)
+    shift = np.broadcast_to(np.eye(3), (*p.shape[:2], 3, 3))
+    own = np.einsum("jk,nab->njakb", np.eye(count), -flange.rotation).reshape(shape)
+    seen = np.isfinite(p).all(axis=2)
+    A = np.concatenate([entries, shift, own], axis=3)[seen].reshape(-1, len(free))
+    target = np.broadcast_to(flange.origin[:, None], p.shape)[seen].ravel()
+    target = target - A[:, ~free] @ solution[~free]
+    if free.any():
+        # Directions that these poses hardly determine stay at zero.
+        solution[free] = np.linalg.lstsq(A[:, free], target, rcond=1e-3)[0]
+    return solution[:9].reshape(3, 3), solution[12:].reshape(count, 3)
 
 
 def _nearest_rotation(M: Array) -> Array:

@@ -18,7 +18,7 @@ from hybrid.calibration.geometry import (
     geometry_from_chain,
 )
 from hybrid.calibration.measurements import Measurements
-from hybrid.calibration.model import KinematicModel, Steps, station_label
+from hybrid.calibration.model import KinematicModel, Steps, station_labels
 from hybrid.calibration.solve import KinematicSolution, Rejected, solve
 from hybrid.calibration.steps import follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
@@ -30,6 +30,17 @@ from hybrid.shown import Shown
 
 GROUPS = ("base", "tool", "geometry", "compliance", "scale")
 USUAL = ("base", "tool", "geometry")
+# Group of each kind of parameter. Of equivalent parameters the first is identified:
+# frames of the instrument before those of the arm, joint angles before lengths before
+# tilts.
+_GROUP = {
+    "base": "base", "tool": "tool", "reflector": "tool", "station": "base",
+    "theta": "geometry", "a": "geometry", "alpha": "geometry", "d": "geometry",
+    "beta": "geometry", "compliance": "compliance", "scale": "scale",
+}  # fmt: skip
+_MEASUREMENTS = (
+    "measurement; valid are Measurements, as hybrid.calibration.read_measurements gives"
+)
 
 
 @dataclass(frozen=True)
@@ -77,17 +88,12 @@ class Calibration(Shown):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Corrections to the nominal arm, with standard deviations."""
+        units = dict(zip(self.setup.labels, self.setup.units, strict=True))
+        values = self.solution.values().items()
         return tuple(
-            Parameter(label, float(x), unit=self.units[label], std=float(std))
-            for label, x, std in zip(
-                self.solution.labels, self.solution.x, self.solution.std, strict=True
-            )
+            Parameter(label, x, unit=units[label], std=float(std))
+            for (label, x), std in zip(values, self.solution.std, strict=True)
         )
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each free parameter."""
-        return dict(zip(self.setup.labels, self.setup.units, strict=True))
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Confidence limits of the corrections, shape (b,) each."""
@@ -133,11 +139,12 @@ class Calibration(Shown):
     @property
     def stations(self) -> Array:
         """Stations of a distance meter in the base frame, shape (s, 3), [m]."""
-        values, nominal = self.solution.values(), self.setup.model.stations
-        names = [[station_label(j, c) for c in range(3)] for j in range(len(nominal))]
-        shift = [[values.get(name, 0.0) for name in row] for row in names]
-        found: Array = nominal + np.array(shift).reshape(nominal.shape)
-        return found
+        nominal, values = self.setup.model.stations, self.solution.values()
+        shifts = [
+            [values.get(label, 0.0) for label in station_labels(j)]
+            for j in range(len(nominal))
+        ]
+        return np.asarray(nominal + np.array(shifts).reshape(nominal.shape))
 
     def save(self, path: str | Path) -> None:
         """Write the robot's file with calibrated joint placements.
@@ -229,16 +236,18 @@ def build_setup(
     _check(robot, data, free)
     geometry = geometry_from_chain(robot.chain)
     flange = follow(start(data.q), geometry.steps, data.q, {})
-    guess = align(flange, data, base="base" in free, tool="tool" in free)
-    base: Steps = () if data.stations else (guess.base, *free_frame("base"))
+    place, frames, stations = align(
+        flange, data, base="base" in free, tool="tool" in free
+    )
+    base: Steps = () if data.stations else (place, *free_frame("base"))
     names = ["tool"]
     if data.reflectors > 1:
         names = [f"reflector_{j + 1}" for j in range(data.reflectors)]
     tools: tuple[Steps, ...] = tuple(
         (tool, *free_frame(name, turns=data.rotation is not None))
-        for name, tool in zip(names, guess.tools, strict=True)
+        for name, tool in zip(names, frames, strict=True)
     )
-    model = KinematicModel((*base, *geometry.steps), tools, guess.stations)
+    model = KinematicModel((*base, *geometry.steps), tools, stations)
     labels = sorted(
         (x for x in model.labels if _group(x) in free or x.startswith("station_")),
         key=_rank,
@@ -264,22 +273,12 @@ def observability_index(jacobian: Array, poses: int) -> float:
     return float(np.exp(np.log(sizes).mean()) / np.sqrt(poses))
 
 
-# Of equivalent parameters the first is identified: frames of the instrument before
-# those of the arm, joint angles before lengths before tilts.
-_ORDER = (
-    "base", "tool", "reflector", "station", "theta", "a", "alpha", "d", "beta",
-    "compliance", "scale",
-)  # fmt: skip
-
-
 def _rank(label: str) -> int:
-    return _ORDER.index(label.split("_")[0])
+    return [*_GROUP].index(label.split("_")[0])
 
 
 def _group(label: str) -> str:
-    kind = label.split("_")[0]
-    named = {"reflector": "tool", "station": "base"}
-    return kind if kind in GROUPS else named.get(kind, "geometry")
+    return _GROUP[label.split("_")[0]]
 
 
 def _unit(label: str, robot: Robot) -> str:
@@ -289,14 +288,9 @@ def _unit(label: str, robot: Robot) -> str:
         return "rad/(N·m)" if turns else "m/N"
     if kind == "scale":
         return ""
-    turns = kind in ("theta", "alpha", "beta") or rest.split("_")[-1] in _TURNS
-    return "rad" if turns and kind not in ("a", "d") else "m"
-
-
-_TURNS = ("rx", "ry", "rz")
-_MEASUREMENTS = (
-    "measurement; valid are Measurements, as hybrid.calibration.read_measurements gives"
-)
+    if _GROUP[kind] == "geometry":
+        return "m" if kind in ("a", "d") else "rad"
+    return "rad" if rest.split("_")[-1] in ("rx", "ry", "rz") else "m"
 
 
 def _load(robot: Robot, q: Array, wanted: bool) -> Array | None:

@@ -8,15 +8,14 @@ replaces the first axis' d: Hayati and Mirmirani 1985, doi 10.1002/rob.462002040
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.calibration.steps import FixedStep, Step, follow, start
+from hybrid.calibration.steps import FixedStep, Frame, Step, follow, start
 from hybrid.robot.chain import Chain, zero_frames
-from hybrid.robot.spatial import rotation_from_axis_angle
 
 PARALLEL = 0.1  # sine of the angle below which two axes count as parallel
 
@@ -45,23 +44,22 @@ def geometry_from_chain(chain: Chain) -> Geometry:
     """Rows of an arm; their parameters are named by joint, as ``theta_elbow``."""
     rotation, point = zero_frames(chain)
     axis = np.einsum("kij,kj->ki", rotation, chain.axis)
+    normals = _normals(axis, point, rotation[-1])
+    R, origin = _axes(normals[0].x, axis[0]), point[0]
     rows: list[tuple[FixedStep | Step, ...]] = []
-    frames = _frames(axis, point, rotation[-1])
-    R, origin = frames[0].rotation, point[0]
-    lead: list[FixedStep | Step] = [FixedStep(R, origin)]
-    parallel = []
-    for k, frame in enumerate(frames):
-        x, y = R.T @ frame.rotation[:, 0] @ np.eye(3)[:, :2]
-        theta = float(np.arctan2(y, x))
-        d = float((frame.origin - origin) @ axis[k])
-        next_parallel = frame.beta is not None
-        rows.append((*lead, *_joint(chain, k, theta, d, shifts=not next_parallel)))
-        parallel.append(next_parallel)
+    lead: Sequence[FixedStep | Step] = (FixedStep(R, origin),)
+    for k, normal in enumerate(normals):
+        x, y, _ = R.T @ normal.x
+        theta, d = float(np.arctan2(y, x)), float((normal.start - origin) @ axis[k])
+        rows.append((*lead, *_joint(chain, k, theta, d, shifts=not normal.parallel)))
+        R, origin = _axes(normal.x, axis[k]), normal.end
         if k + 1 < chain.size:
-            lead, R, origin = _normal_steps(frame, chain.joints[k + 1])
-    D = frames[-1].rotation
-    last = FixedStep(D.T @ rotation[-1], D.T @ (point[-1] - frames[-1].origin))
-    return Geometry(tuple(rows), last, tuple(parallel))
+            lead = _normal_steps(normal, R.T @ axis[k + 1], chain.joints[k + 1])
+            R = follow(
+                Frame(R[None], origin[None]), lead, np.zeros((1, 0)), {}
+            ).rotation[0]
+    last = FixedStep(R.T @ rotation[-1], R.T @ (point[-1] - origin))
+    return Geometry(tuple(rows), last, tuple(normal.parallel for normal in normals))
 
 
 def chain_from_values(
@@ -91,62 +89,50 @@ def chain_from_values(
 
 
 @dataclass(frozen=True)
-class _RowFrame:
-    """A frame on a joint axis, x along the normal to the next axis, at q = 0."""
+class _Normal:
+    """Common normal of a joint axis and the next one, at q = 0."""
 
-    rotation: Array
-    origin: Array
-    a: float = 0.0
-    alpha: float = 0.0
-    beta: float | None = None
-
-
-def _frames(axis: Array, points: Array, last: Array) -> list[_RowFrame]:
-    frames, point = [], points[0]
-    for k in range(len(axis) - 1):
-        frame, point = _common_normal(axis[k], point, axis[k + 1], points[k + 1])
-        frames.append(frame)
-    frames.append(_RowFrame(_axes(_perpendicular(axis[-1], last), axis[-1]), point))
-    return frames
+    x: Array  # direction
+    start: Array  # foot on the axis
+    end: Array  # foot on the next axis
+    parallel: bool
 
 
-def _common_normal(
-    z: Array, point: Array, w: Array, next_point: Array
-) -> tuple[_RowFrame, Array]:
-    """The row frame on axis z, and the foot of the normal on the next axis w."""
+def _normals(axis: Array, points: Array, last: Array) -> list[_Normal]:
+    """Normals of neighbouring axes, and for the last axis a direction across it."""
+    normals, point = [], points[0]
+    for z, w, next_point in zip(axis[:-1], axis[1:], points[1:], strict=True):
+        normals.append(_normal(z, point, w, next_point))
+        point = normals[-1].end
+    return [*normals, _Normal(_perpendicular(axis[-1], last), point, point, False)]
+
+
+def _normal(z: Array, point: Array, w: Array, next_point: Array) -> _Normal:
+    """Normal of two axes; that of parallel ones starts at the point on the first."""
     across = np.cross(z, w)
     size = float(np.linalg.norm(across))
     if size < PARALLEL:
-        target = next_point + w * (z @ (point - next_point)) / (z @ w)
-        offset = target - point
-        a = float(np.linalg.norm(offset))
-        x = offset / a if a > 1e-9 else _perpendicular(z, np.eye(3))
-        origin = point
-    else:
-        x = across / size
-        along = float(np.cross(next_point - point, w) @ across) / size**2
-        origin = point + along * z
-        a = float((next_point - point) @ x)
-        target = origin + a * x
-    R = _axes(x, z)
-    wx, wy, wz = R.T @ w
-    beta = float(np.arcsin(np.clip(wx, -1.0, 1.0))) if size < PARALLEL else None
-    return _RowFrame(R, origin, a, float(np.arctan2(-wy, wz)), beta), target
+        end = next_point + w * (z @ (point - next_point)) / (z @ w)
+        a = float(np.linalg.norm(end - point))
+        x = (end - point) / a if a > 1e-9 else _perpendicular(z, np.eye(3))
+        return _Normal(x, point, end, True)
+    x = across / size
+    along = float(np.cross(next_point - point, w) @ across) / size**2
+    start = point + along * z
+    return _Normal(x, start, start + float((next_point - point) @ x) * x, False)
 
 
-def _normal_steps(
-    frame: _RowFrame, joint: str
-) -> tuple[list[FixedStep | Step], Array, Array]:
-    """Steps along the common normal, and the frame after them at q = 0."""
-    steps: list[FixedStep | Step] = [
-        Step(0, False, frame.a, f"a_{joint}"),
-        Step(0, True, frame.alpha, f"alpha_{joint}"),
+def _normal_steps(normal: _Normal, axis: Array, joint: str) -> list[Step]:
+    """Steps along a common normal to the next axis, given in the row's frame."""
+    x, y, z = axis.tolist()
+    steps = [
+        Step(0, False, float((normal.end - normal.start) @ normal.x), f"a_{joint}"),
+        Step(0, True, float(np.arctan2(-y, z)), f"alpha_{joint}"),
     ]
-    R = frame.rotation @ rotation_from_axis_angle(np.eye(3)[0], frame.alpha)
-    if frame.beta is not None:
-        steps.append(Step(1, True, frame.beta, f"beta_{joint}"))
-        R = R @ rotation_from_axis_angle(np.eye(3)[1], frame.beta)
-    return steps, R, frame.origin + frame.a * frame.rotation[:, 0]
+    if normal.parallel:
+        beta = float(np.arcsin(np.clip(x, -1.0, 1.0)))
+        steps.append(Step(1, True, beta, f"beta_{joint}"))
+    return steps
 
 
 def _joint(

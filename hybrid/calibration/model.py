@@ -57,11 +57,9 @@ class KinematicModel:
             for step in (*self.steps, *(step for tool in self.tools for step in tool))
             if isinstance(step, Step) and step.parameter
         ]
-        stations = [
-            station_label(j, c) for j in range(len(self.stations)) for c in range(3)
-        ]
-        scale = ["scale"] if stations else []
-        return tuple(dict.fromkeys([*found, *stations, *scale]))
+        for j in range(len(self.stations)):
+            found += station_labels(j)
+        return tuple(dict.fromkeys([*found, *["scale"] * (len(self.stations) > 0)]))
 
     def frames(
         self,
@@ -116,7 +114,7 @@ class KinematicModel:
         residual = np.empty((*measured.shape, 1))
         jacobian = np.zeros((*measured.shape, 1, len(labels)))
         for j, nominal in enumerate(self.stations):
-            names = [station_label(j, c) for c in range(3)]
+            names = station_labels(j)
             at = nominal + np.array([values.get(name, 0.0) for name in names])
             between = frame.origin - at
             length = np.linalg.norm(between, axis=1)
@@ -131,9 +129,9 @@ class KinematicModel:
         return _block("distance", residual, jacobian)
 
 
-def station_label(j: int, c: int) -> str:
-    """Name of coordinate c of station j, as ``station_1_x`` for 0 and 0."""
-    return f"station_{j + 1}_{'xyz'[c]}"
+def station_labels(j: int) -> list[str]:
+    """Names of the coordinates of station j, ``station_1_x`` to ``_z`` for 0."""
+    return [f"station_{j + 1}_{axis}" for axis in "xyz"]
 
 
 def _velocities(frame: Frame, labels: Sequence[str]) -> tuple[Array, Array]:

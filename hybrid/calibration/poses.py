@@ -71,25 +71,20 @@ def choose_poses(
             f"parameters, to {len(candidates)}, the number of candidates"
         )
     # A small prior information, so that the first determinants are not zero.
-    information = 1e-9 * np.einsum("ncb,ncd->bd", J, J)
-    chosen: list[int] = []
-    for _ in range(count):
-        gain = _gain(information, J)
-        gain[chosen] = -np.inf
-        chosen.append(int(np.argmax(gain)))
-        information = information + J[chosen[-1]].T @ J[chosen[-1]]
-    for _ in range(_ROUNDS):
+    prior = 1e-9 * np.einsum("ncb,ncd->bd", J, J)
+    chosen = np.full(count, -1)
+    for _ in range(1 + _ROUNDS):
         before = sorted(chosen)
         for place in range(count):
-            out = J[chosen[place]]
-            rest = information - out.T @ out
+            others = np.delete(chosen, place)
+            others = others[others >= 0]
+            rest = prior + np.einsum("ncb,ncd->bd", J[others], J[others])
             gain = _gain(rest, J)
-            gain[[k for k in chosen if k != chosen[place]]] = -np.inf
-            chosen[place] = int(np.argmax(gain))
-            information = rest + J[chosen[place]].T @ J[chosen[place]]
+            gain[others] = -np.inf
+            chosen[place] = np.argmax(gain)
         if sorted(chosen) == before:
             break
-    return np.array(sorted(chosen))
+    return np.sort(chosen)
 
 
 def _gain(information: Array, J: Array) -> Array:

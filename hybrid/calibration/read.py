@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.calibration.measurements import Measurements
@@ -24,11 +26,12 @@ _SCALE = {
 }
 _POINT = re.compile(r"([xyz])_?(\d*)")
 _DISTANCE = re.compile(r"distance_?(\d*)")
-_ORIENTATIONS = (
-    ("qx", "qy", "qz", "qw"),
-    ("rx", "ry", "rz"),
-    ("roll", "pitch", "yaw"),
-)
+_ORIENTATIONS: dict[tuple[str, ...], Callable[[Array], Rotation]] = {
+    ("qx", "qy", "qz", "qw"): Rotation.from_quat,
+    ("rx", "ry", "rz"): Rotation.from_rotvec,
+    # about fixed x, then y, then z
+    ("roll", "pitch", "yaw"): partial(Rotation.from_euler, "xyz"),
+}
 VALID = (
     "valid are q1 ... or q_<joint>, and x, y, z (x_2, y_2, z_2 for a second reflector "
     "and so on), with qx, qy, qz, qw or rx, ry, rz (rotation vector) or roll, pitch, "
@@ -131,9 +134,7 @@ def _numbered(
 
 
 def _rotation(columns: dict[str, Array], path: str | Path) -> Array | None:
-    from scipy.spatial.transform import Rotation
-
-    for names in _ORIENTATIONS:
+    for names, turns in _ORIENTATIONS.items():
         here = [name for name in names if name in columns]
         if not here:
             continue
@@ -147,12 +148,6 @@ def _rotation(columns: dict[str, Array], path: str | Path) -> Array | None:
         if len(names) == 4 and (np.linalg.norm(values[seen], axis=1) < 1e-6).any():
             raise CalibrationError(f"{path}: a quaternion of length zero")
         rotation = np.full((len(values), 3, 3), np.nan)
-        if names[0] == "qx":
-            turn = Rotation.from_quat(values[seen])
-        elif names[0] == "rx":
-            turn = Rotation.from_rotvec(values[seen])
-        else:  # about fixed x, then y, then z
-            turn = Rotation.from_euler("xyz", values[seen])
-        rotation[seen] = turn.as_matrix()
+        rotation[seen] = turns(values[seen]).as_matrix()
         return rotation
     return None

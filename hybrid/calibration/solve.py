@@ -27,7 +27,8 @@ from hybrid.errors import CalibrationError
 USUAL_NOISE = 1e-4  # m or rad, initial noise
 LEAST_NOISE = 1e-9  # m or rad, smallest noise, above rounding errors
 _NORMAL = 1.4826  # standard deviation of a normal variable over its median magnitude
-_ROUNDS = 20  # of rejection and reweighting
+_ROUNDS, _ROBUST_ROUNDS = 20, 10  # of rejection and reweighting; of robust fits
+_SETTLED = 0.02  # relative change of noise
 
 
 @dataclass(frozen=True)
@@ -126,16 +127,16 @@ def solve(
         x = fit.minimise(x)
         fit.estimate_noise(x)
         # With one kind of measurement, weights only scale the whole sum of squares.
-        if settled and (len(before) == 1 or _change(before, fit.noise) < 0.02):
+        if settled and (len(before) == 1 or _change(before, fit.noise) < _SETTLED):
             break
-    residual, jacobian = fit.weighted(x)
-    covariance, degrees = clustered_covariance(jacobian, residual, fit.poses(x))
+    residual, jacobian, pose = fit.weighted(x)
+    covariance, degrees = clustered_covariance(jacobian, residual, pose)
     return KinematicSolution(
-        labels=reduced.kept_labels,
+        labels=fit.labels,
         x=x,
         covariance=covariance,
         degrees=degrees,
-        noise=dict(fit.noise),
+        noise=fit.noise,
         reduced=reduced,
         jacobian=jacobian,
         rejected=tuple(fit.rejected),
@@ -150,16 +151,17 @@ def _change(before: Mapping[str, float], after: Mapping[str, float]) -> float:
 
 
 class _Fit:
-    """Weighted residuals, noise estimates and rejected measurements."""
+    """Free parameters, noise of each kind of measurement, and what is rejected."""
+
+    labels: tuple[str, ...]
+    freedom: dict[str, float]  # degrees of freedom of each kind's noise
+    kept: dict[str, NDArray[np.bool_]]  # units of each kind that are not rejected
 
     def __init__(
         self, model: KinematicModel, data: Measurements, load: Array | None
     ) -> None:
         self.model, self.data, self.load = model, data, load
-        self.labels: tuple[str, ...] = ()
         self.noise: dict[str, float] = {}
-        self.freedom: dict[str, float] = {}
-        self.kept: dict[str, NDArray[np.bool_]] = {}
         self.rejected: list[Rejected] = []
         self.iterations = self.evaluations = self.rows = 0
         self.converged = False
@@ -172,9 +174,8 @@ class _Fit:
         values: Mapping[str, float],
     ) -> BaseParameters:
         """Keep the parameters that are identifiable at these values; 0 if absent."""
-        self.labels = labels
+        self.labels, self._last = labels, None
         x = np.array([values.get(label, 0.0) for label in labels])
-        self._last = None
         blocks = self.blocks(x)
         self.noise = {b.name: USUAL_NOISE for b in blocks}
         self.kept = {b.name: np.ones(len(b.pose), dtype=bool) for b in blocks}
@@ -191,48 +192,44 @@ class _Fit:
             )
         share = 1 - reduced.size / self.rows
         self.freedom = {b.name: share * b.residual.size for b in blocks}
-        self.labels = reduced.kept_labels
-        self._last = None
+        self.labels, self._last = reduced.kept_labels, None
         return reduced
 
     def blocks(self, x: Array) -> list[Block]:
+        """Residuals of all measurements; those of the last parameters are kept."""
         if self._last is None or not np.array_equal(x, self._last[0]):
             found = self.model.blocks(self.data, self.labels, x, self.load)
             self._last = (x.copy(), found)
             self.evaluations += 1
         return self._last[1]
 
-    def weighted(self, x: Array) -> tuple[Array, Array]:
-        """Residuals and derivatives over noise, shapes (rows,) and (rows, p)."""
-        residual, jacobian = [], []
+    def weighted(self, x: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Residuals and derivatives over noise, and the pose of each row."""
+        rows = []
         for b in self.blocks(x):
             kept, noise = self.kept[b.name], self.noise[b.name]
-            residual.append(b.residual[kept].ravel() / noise)
-            jacobian.append(b.jacobian[kept].reshape(-1, len(self.labels)) / noise)
-        return np.concatenate(residual), np.concatenate(jacobian)
-
-    def poses(self, x: Array) -> NDArray[np.intp]:
-        """Pose of each row of the weighed residuals, shape (rows,)."""
-        rows = [
-            np.repeat(b.pose[self.kept[b.name]], b.residual.shape[1])
-            for b in self.blocks(x)
-        ]
-        return np.concatenate(rows)
-
-    def _residual(self, x: Array) -> Array:
-        return self.weighted(x)[0]
-
-    def _jacobian(self, x: Array) -> Array:
-        return self.weighted(x)[1]
+            residual, jacobian = b.residual[kept] / noise, b.jacobian[kept] / noise
+            pose = np.repeat(b.pose[kept], b.residual.shape[1])
+            rows.append((residual.ravel(), jacobian.reshape(len(pose), len(x)), pose))
+        residuals, jacobians, poses = map(np.concatenate, zip(*rows, strict=True))
+        return residuals, jacobians, poses
 
     def minimise(
         self, x: Array, *, loss: Literal["linear", "cauchy"] = "linear"
     ) -> Array:
+        """Weighted least squares from a first estimate."""
+
+        def residual(x: Array) -> Array:
+            return self.weighted(x)[0]
+
+        def jacobian(x: Array) -> Array:
+            return self.weighted(x)[1]
+
         plain = loss == "linear"
         result = least_squares(
-            self._residual,
+            residual,
             x,
-            self._jacobian,
+            jacobian,
             method="lm" if plain else "trf",
             loss=loss,
             x_scale="jac",
@@ -242,21 +239,21 @@ class _Fit:
         )
         self.iterations += int(result.njev or 0)
         self.converged = bool(result.success)
-        best: Array = result.x
-        return best
+        return np.asarray(result.x)
 
     def robust(self, x: Array) -> Array:
         """Alternate between a robust fit and the scale of its residuals."""
-        for _ in range(10):
-            before = dict(self.noise)
-            for b in self.blocks(x):
-                spread = _NORMAL * float(np.median(np.abs(b.residual)))
-                spread *= np.sqrt(self.rows / (self.rows - len(x)))
-                self.noise[b.name] = max(spread, LEAST_NOISE)
-            if (
-                _change(before, self.noise) < 0.02
-                or max(self.noise.values()) == LEAST_NOISE
-            ):
+        wider = np.sqrt(self.rows / (self.rows - len(x)))
+        for _ in range(_ROBUST_ROUNDS):
+            before = self.noise
+            self.noise = {
+                b.name: max(
+                    _NORMAL * wider * np.median(np.abs(b.residual)), LEAST_NOISE
+                )
+                for b in self.blocks(x)
+            }
+            exact = max(self.noise.values()) == LEAST_NOISE
+            if exact or _change(before, self.noise) < _SETTLED:
                 break
             x = self.minimise(x, loss="cauchy")
         return x
@@ -267,22 +264,19 @@ class _Fit:
         The majority always stays, as in least trimmed squares.
         """
         before, rows = self.kept, sum(b.residual.size for b in self.blocks(x))
-        R = np.linalg.qr(self.weighted(x)[1], mode="r")
-        root = np.linalg.inv(R)
+        root = np.linalg.inv(np.linalg.qr(self.weighted(x)[1], mode="r"))
         least = (rows + len(x) + 1) / 2 / rows
         self.kept, self.rejected = {}, []
         for b in self.blocks(x):
             noise, kept = self.noise[b.name], before[b.name]
-            ratio = misfit(
-                b.residual / noise, b.jacobian / noise, root @ root.T, kept,
-                self.freedom[b.name],
-            )  # fmt: skip
+            scaled = b.residual / noise, b.jacobian / noise
+            ratio = misfit(*scaled, root @ root.T, kept, self.freedom[b.name])
             bound = max(1.0, float(np.quantile(ratio, least, method="higher")))
             self.kept[b.name] = ratio <= bound
             size = np.linalg.norm(b.residual, axis=1)
             self.rejected += [
                 Rejected(int(b.pose[k]), b.name, float(size[k]))
-                for k in np.flatnonzero(~self.kept[b.name])
+                for k in np.flatnonzero(ratio > bound)
             ]
         return all(np.array_equal(before[kind], self.kept[kind]) for kind in before)
 

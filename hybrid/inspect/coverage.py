@@ -24,6 +24,7 @@ from hybrid.robot.chain import Chain
 
 _NORMAL = 1.96  # standard errors on either side of a 95 % interval
 _LONGEST_LAG = 0.5  # s, of a servo behind its command
+_MOST_ROWS = 100_000  # of a log that are compared at each lag
 _DRIVES = ("Ia", "Fv", "Fc", "offset")
 
 
@@ -69,18 +70,18 @@ class Excitation:
 
 def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]:
     """Motion and torque of every joint in a log on a uniform clock."""
-    fastest = np.abs(state.v).max(axis=0)
-    moving = np.mean(np.abs(state.v) > CREEP * np.maximum(fastest, 1e-300), axis=0)
+    speed = np.abs(state.v) * (np.ptp(recording.q, axis=0) > 0)
+    fastest = speed.max(axis=0).tolist()
+    moving = np.mean(speed > CREEP * np.maximum(fastest, 1e-300), axis=0).tolist()
+    most = round(_LONGEST_LAG * recording.rate)
     found = []
     for j, joint in enumerate(recording.joints):
         q, lag, torque = recording.q[:, j], None, None
         if recording.has_torque:
             torque = float(recording.tau[:, j].min()), float(recording.tau[:, j].max())
         if recording.command is not None and np.ptp(recording.command[:, j]) > 0:
-            most = round(_LONGEST_LAG * recording.rate)
             lag = _lag(recording.command[:, j], q, most) / recording.rate
-        pace = (float(fastest[j]), float(moving[j])) if np.ptp(q) > 0 else (0.0, 0.0)
-        ends = float(q.min()), float(q.max())
+        ends, pace = (float(q.min()), float(q.max())), (fastest[j], moving[j])
         found.append(JointCoverage(joint, *ends, *pace, resolution(q), torque, lag))
     return tuple(found)
 
@@ -139,15 +140,8 @@ def _columns(chain: Chain, q: Array, v: Array, a: Array) -> Array:
 
 def _lag(command: Array, q: Array, most: int) -> int:
     """The lag below ``most`` samples that minimises Var(q_k − command_{k−lag})."""
-    from scipy.signal import correlate
-
-    x, y = command - command.mean(), q - q.mean()
-    lags = np.arange(min(most, len(x) // 2))
-    overlap = len(x) - lags
-
-    def overlap_sums(late: Array, early: Array) -> Array:
-        return np.cumsum(late[::-1])[::-1][lags] + np.cumsum(early)[overlap - 1]
-
-    products = correlate(y, x, mode="full")[len(x) - 1 :][lags]
-    mean_square = (overlap_sums(y * y, x * x) - 2 * products) / overlap
-    return int(np.argmin(mean_square - (overlap_sums(y, -x) / overlap) ** 2))
+    samples = len(q)
+    step = 1 + samples // _MOST_ROWS
+    lags = range(min(most, samples // 2))
+    spread = [np.var(q[k::step] - command[: samples - k : step]) for k in lags]
+    return int(np.argmin(spread))

@@ -6,7 +6,7 @@ and returns within a sample, or jumps, is a fault of the log.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
     size = np.abs(bend)
     half = -bend / 2
     shape = [np.abs(np.roll(bend, k) - half) < _SHAPE_ERROR * size for k in (-1, 1)]
-    nearby = _largest(size, range(3, _NEARBY + 1), both=True)
+    nearby = np.maximum(*_largest_beside(size, 3))
     usual = _LEAP * float(np.quantile(size, 0.75))
     least = max(_ENCODER_NOISE * resolution(x), usual, 2 * STILL)
     found = shape[0] & shape[1] & (size > _LEAP * nearby) & (size > least)
@@ -57,13 +57,10 @@ def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
 def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
     """Find steps of a position that are too large for a moving joint."""
     size = np.abs(np.diff(x))
-    nearby = _largest(size, range(1, _NEARBY + 1), both=True)
+    before, after = _largest_beside(size, 1)
     least = max(_ENCODER_NOISE * resolution(x), 2 * large_step(x))
-    found = (size > _LEAP * nearby) & (size > least)
+    found = (size > _LEAP * np.maximum(before, after)) & (size > least)
     # Rest on one side of the jump only: a frozen encoder, which has its own check.
-    before, after = (
-        _largest(size, way * np.arange(1, _NEARBY + 1), both=False) for way in (1, -1)
-    )
     found &= (before > 0) == (after > 0)
     for k in np.flatnonzero(found)[:1].tolist():
         turn = abs(float(size[k]) - 2 * np.pi) < _TURN_ERROR
@@ -76,10 +73,13 @@ def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
         yield Doubt("q", (joint,), text, remedy, "error", float(size[k]), rows=True)
 
 
-def _largest(size: Array, lags: Iterable[int], *, both: bool) -> Array:
-    """Largest value at some lags before (lag > 0) or after each sample, shape (N,)."""
-    signed = [s * k for k in lags for s in ((1, -1) if both else (1,))]
-    return np.asarray(np.max([np.roll(size, k) for k in signed], axis=0))
+def _largest_beside(size: Array, first: int) -> tuple[Array, Array]:
+    """Largest value before and after each sample, from some distance on, (N,) each."""
+    lags = range(first, _NEARBY + 1)
+    before, after = (
+        np.max([np.roll(size, way * k) for k in lags], axis=0) for way in (1, -1)
+    )
+    return before, after
 
 
 def _held(recording: Recording) -> Iterator[Doubt]:

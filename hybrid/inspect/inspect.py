@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from hybrid.arguments import RECORDING, ROBOT, check_argument
 from hybrid.inspect.coverage import JointCoverage, coverage_of, excitation_of
@@ -56,14 +55,14 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
         check_argument(robot, Robot, ROBOT)
         recording = recording.in_order(robot.joints)
     pieces = [_checked(piece, robot) for piece in unbroken(recording)]
-    doubts = tuple(dict.fromkeys(doubt for piece in pieces for doubt in piece.doubts))
-    longest = max(pieces, key=lambda piece: piece.recording.duration)
+    doubts = tuple(dict.fromkeys(doubt for found, *_ in pieces for doubt in found))
+    _, longest, state = max(pieces, key=lambda piece: piece[1].duration)
     joints: tuple[JointCoverage, ...] = ()
     excitation = None
-    if longest.state is not None:
-        joints = coverage_of(longest.recording, longest.state)
+    if state is not None:
+        joints = coverage_of(longest, state)
         if robot is not None and recording.has_torque:
-            excitation = excitation_of(robot.chain, longest.state)
+            excitation = excitation_of(robot.chain, state)
     return Inspection(recording, clock_of(recording), joints, excitation, doubts)
 
 
@@ -87,30 +86,30 @@ def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Reco
     uniform = []
     for recording in recordings:
         for piece in unbroken(recording.in_order(robot.joints)):
-            checked = _checked(piece, robot)
-            raise_or_warn(checked.doubts, recording.source)
-            uniform.append(checked.recording)
+            doubts, checked, _ = _checked(piece, robot)
+            raise_or_warn(doubts, recording.source)
+            uniform.append(checked)
     return uniform
 
 
-@dataclass(frozen=True, eq=False)
-class _Checked:
-    doubts: list[Doubt]
-    recording: Recording  # on a uniform clock if no sample is wrong
-    state: State | None = None  # None if a sample is wrong
+def _checked(
+    recording: Recording, robot: Robot | None
+) -> tuple[list[Doubt], Recording, State | None]:
+    """Check a log without gaps.
 
-
-def _checked(recording: Recording, robot: Robot | None) -> _Checked:
-    """Check a log without gaps."""
+    Returns:
+        Doubts; the log on a uniform clock, and its filtered state. If samples are
+        wrong, the log as it is, and no state.
+    """
     doubts: list[Doubt] = []
     for check_samples in _SAMPLE_CHECKS:
         doubts += check_samples(recording, robot)
         if any(doubt.is_error for doubt in doubts):
-            return _Checked(doubts, recording)
+            return doubts, recording, None
     uniform = resample(recording)
     state = filtered_state(uniform, robot)
     for check_motion in _MOTION_CHECKS:
         doubts += check_motion(uniform, robot, state)
         if any(doubt.is_error for doubt in doubts):
             break
-    return _Checked(doubts, uniform, state)
+    return doubts, uniform, state

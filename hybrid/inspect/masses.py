@@ -12,8 +12,6 @@ wrong signs and a wrong clock need negative masses, or leave a large residual.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,13 +21,17 @@ from hybrid.robot.chain import Chain
 
 CREEP = 0.02  # of the highest speed: width of the sign change of dry friction
 _REACH = 0.25  # of the arm's length: least distance of masses from their link's origin
-_DRIVE_COLUMNS = 6  # rotor, viscous, dry, spring, positive and negative offset
+_SPRING, _OFFSETS = 3, slice(4, 6)  # among the columns of a drive
 _OFFSET_PENALTY = 0.1  # share of an offset that counts as residual: gravity is likelier
 _NEGLIGIBLE = 1e-3  # share of a torque's variance
 _RANK = 1e-4  # smallest singular value, over the largest
 _ITERATIONS = 10  # per weight
 _RIDGE = 1e-8  # of a column's square
 _TINY, _NONE = 1e-9, 1e-300
+
+# Products of the columns (n, P, P), those with each torque (n, n, P), and squares of
+# each torque (n,): sums over some samples, over the number of all.
+_Sums = tuple[Array, Array, Array]
 
 
 def unit_masses(chain: Chain) -> Array:
@@ -51,79 +53,49 @@ def unit_masses(chain: Chain) -> Array:
     return np.stack([np.ones_like(x), x, y, z, *rest], axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Sums over samples, over the number of all samples.
-
-    Attributes:
-        normal: Products of the columns at each joint, shape (n, P, P).
-        right: Products of the columns at each joint with each torque, shape (n, n, P).
-        squares: Squares of each torque, shape (n,).
-    """
-
-    normal: Array
-    right: Array
-    squares: Array
-
-
 class MassColumns:
     """Columns of every mass and drive along a motion, as normal equations.
 
     Args:
         state: M samples.
-        masses: Parameters of P masses of each link, shape (n, 10, P).
+        masses: Parameters of some masses of each link, shape (n, 10, p).
         Y: Regressor along the samples, shape (M, n, 10n).
     """
 
     def __init__(self, state: State, masses: Array, Y: Array) -> None:
-        (samples, n), each = state.q.shape, masses.shape[2]
-        links = Y.transpose(1, 2, 0).reshape(n, n, 10, samples)
-        drives, self._count = _drive_columns(state), n * (each + _DRIVE_COLUMNS)
-        self._own, self._places = [], []  # columns at each joint, and their numbers
-        for i in range(n):  # links before joint i do not load it
-            rigid = masses[i:].transpose(0, 2, 1) @ links[i, i:]  # (n - i, P, M)
-            drive = n * each + _DRIVE_COLUMNS * i + np.arange(_DRIVE_COLUMNS)
-            self._own.append(np.concatenate([rigid.reshape(-1, samples), drives[i]]))
-            self._places.append(np.append(np.arange(i * each, n * each), drive))
-        square = np.zeros(self._count)
-        for own, at in zip(self._own, self._places, strict=True):
-            square[at] += np.einsum("pm,pm->p", own, own)
-        self._scale = np.maximum(np.sqrt(square), _TINY)
-        self._torque = state.tau
-        self._all = self._sums(np.ones(samples, dtype=bool))
-        least = _TINY * self._all.squares + _NONE
-        self._size = np.maximum(state.tau.var(axis=0), least)
-        self._theta = np.zeros(self._count)
-        self._upper = np.full(self._count, np.inf)
-        spring = n * each + 3 + _DRIVE_COLUMNS * np.arange(n)
-        travel = np.abs(drives[:, 3]).max(axis=1)
-        self._upper[spring] = state.rated / np.maximum(travel, _TINY)
+        (samples, n), self._tau = state.q.shape, state.tau
+        own, each = _drive_columns(state), np.arange(n)
+        drives = np.zeros((n, n, *own.shape[1:]))  # joint, drive, column, sample
+        drives[each, each] = own
+        links = masses.swapaxes(1, 2) @ Y.transpose(1, 2, 0).reshape(n, n, 10, samples)
+        columns = np.concatenate(
+            [links.reshape(n, -1, samples), drives.reshape(n, -1, samples)], axis=1
+        )  # (n, P, M)
+        self._scale = np.maximum(np.sqrt((columns**2).sum(axis=(0, 2))), _TINY)
+        self._columns = columns / self._scale[:, None]
+        of_drives = np.arange(-drives[0, :, :, 0].size, 0).reshape(n, -1)
+        self._offsets = of_drives[:, _OFFSETS]
+        strongest = state.rated / np.maximum(np.abs(own[:, _SPRING]).max(axis=1), _TINY)
+        self._upper = np.full(len(self._scale), np.inf)
+        self._upper[of_drives[:, _SPRING]] = strongest
         self._upper *= self._scale
-
-    def _sums(self, use: NDArray[np.bool_]) -> _Sums:
-        """Normal equations over some of the samples, (M,)."""
-        n, count = len(self._own), self._count
-        normal, right = np.zeros((n, count, count)), np.zeros((n, n, count))
-        for i, (every, at) in enumerate(zip(self._own, self._places, strict=True)):
-            own, offsets = every[:, use], at[-2:]
-            normal[i][np.ix_(at, at)] = own @ own.T
-            right[i][:, at] = (own @ self._torque[use]).T
-            normal[i][offsets, offsets] += _OFFSET_PENALTY**2 * use.sum()
-        return _Sums(
-            normal / (self._scale * self._scale[:, None] * len(use)),
-            right / (self._scale * len(use)),
-            (self._torque[use] ** 2).sum(axis=0) / len(use),
-        )
+        self._all = self._sums(np.ones(samples, dtype=bool))
+        least = _TINY * self._all[2] + _NONE
+        self._size = np.maximum(state.tau.var(axis=0), least)
+        self._theta = np.zeros(len(self._scale))
 
     @property
     def explained(self) -> Array:
-        """Torque by the last fit, shape (M, n), [N·m]."""
-        theta = self._theta / self._scale
-        pairs = zip(self._own, self._places, strict=True)
-        return np.stack([theta[at] @ own for own, at in pairs], axis=1)
+        """Torque by the last fit to the whole log, shape (M, n), [N·m]."""
+        return np.asarray(self._columns.swapaxes(1, 2) @ self._theta).T
 
     def residual(
-        self, order: NDArray[np.intp], factor: Array, *, rounds: int = 2
+        self,
+        order: NDArray[np.intp],
+        factor: Array,
+        *,
+        rounds: int = 2,
+        blocks: int = 1,
     ) -> Array:
         """Share of each torque's variance that a non-negative fit leaves, shape (n,).
 
@@ -131,50 +103,20 @@ class MassColumns:
             order: Torque column of each joint, shape (n,).
             factor: Factor of each torque, shape (n,).
             rounds: Number of fits; each weighs joints by the residual of the last.
+            blocks: Parts of the log in time. Of several, odd ones are predicted by a
+                fit of the even ones, and these by one of the odd ones. The share is
+                then 1 at the most.
         """
-        self._theta = self._fitted(self._all, order, factor, rounds)
-        return self._shares(self._all, self._theta, order, factor)
-
-    def unseen(self, order: NDArray[np.intp], factor: Array, blocks: int) -> Array:
-        """The same of samples that a fit does not see, shape (n,); 1 at the most.
-
-        Args:
-            order: Torque column of each joint, shape (n,).
-            factor: Factor of each torque, shape (n,).
-            blocks: Parts of the log in time. Odd ones are predicted by a fit of the
-                even ones, and these by one of the odd ones.
-        """
-        samples = len(self._torque)
+        torque = order, factor
+        if blocks == 1:
+            self._theta = self._fitted(self._all, *torque, rounds)
+            return self._shares(self._all, self._theta, *torque)
+        samples, left = len(self._tau), np.zeros(len(order))
         odd = np.arange(samples) * blocks // samples % 2 == 1
         parts = self._sums(odd), self._sums(~odd)
-        left = np.zeros(len(order))
-        for fitted, other in (parts, parts[::-1]):
-            theta = self._fitted(fitted, order, factor, 2)
-            left += self._shares(other, theta, order, factor)
+        for seen, unseen in (parts, parts[::-1]):
+            left += self._shares(unseen, self._fitted(seen, *torque, rounds), *torque)
         return np.minimum(left, 1.0)
-
-    def _fitted(
-        self, sums: _Sums, order: NDArray[np.intp], factor: Array, rounds: int
-    ) -> Array:
-        """Weights of the columns, shape (P,)."""
-        right = factor[:, None] * sums.right[np.arange(len(order)), order]
-        share, theta = np.ones(len(order)), self._theta
-        for _ in range(rounds):
-            weight = 1.0 / (factor**2 * self._size[order] * share)
-            normal = np.tensordot(weight, sums.normal, 1)
-            theta = _bounded(normal, weight @ right, self._upper)
-            share = self._shares(sums, theta, order, factor)
-        return theta
-
-    def _shares(
-        self, sums: _Sums, theta: Array, order: NDArray[np.intp], factor: Array
-    ) -> Array:
-        """What weights leave of samples, over the variance of all, shape (n,)."""
-        right = factor[:, None] * sums.right[np.arange(len(order)), order]
-        rest = ((sums.normal @ theta - 2 * right) * theta).sum(axis=1)
-        rest += factor**2 * sums.squares[order]
-        share = rest / (factor**2 * self._size[order])
-        return np.asarray(np.clip(share, _NEGLIGIBLE, None))
 
     def residual_of_pairs(self) -> Array:
         """Share of torque column c that the columns of joint i leave, shape (n, n).
@@ -183,13 +125,49 @@ class MassColumns:
         tests the order of torque columns, not their sign.
         """
         left = []
-        for own, at in zip(self._own, self._places, strict=True):
-            columns = own.T / self._scale[at]
-            basis, value, _ = np.linalg.svd(columns, full_matrices=False)
-            basis = basis[:, value > _RANK * value[0]]
-            rest = self._torque - basis @ (basis.T @ self._torque)
+        for columns in self._columns:
+            used = columns[columns.any(axis=1)]
+            _, value, basis = np.linalg.svd(used, full_matrices=False)
+            basis = basis[value > _RANK * value[0]]
+            rest = self._tau - basis.T @ (basis @ self._tau)
             left.append((rest**2).mean(axis=0) / self._size)
         return np.asarray(np.clip(left, _NEGLIGIBLE, 1.0))
+
+    def _sums(self, use: NDArray[np.bool_]) -> _Sums:
+        """Normal equations over some of the samples, (M,)."""
+        columns, tau, samples = self._columns[:, :, use], self._tau[use], len(use)
+        normal = columns @ columns.swapaxes(1, 2)
+        each, offsets = np.arange(len(columns))[:, None], self._offsets
+        penalty = _OFFSET_PENALTY / self._scale[offsets]
+        normal[each, offsets, offsets] += penalty**2 * use.sum()
+        right = (columns @ tau).swapaxes(1, 2)
+        return normal / samples, right / samples, (tau**2).sum(axis=0) / samples
+
+    def _fitted(
+        self, sums: _Sums, order: NDArray[np.intp], factor: Array, rounds: int
+    ) -> Array:
+        """Weights of the columns, shape (P,)."""
+        normal, products, _ = sums
+        right = factor[:, None] * products[np.arange(len(order)), order]
+        share, theta = np.ones(len(order)), self._theta
+        for _ in range(rounds):
+            weight = 1.0 / (factor**2 * self._size[order] * share)
+            theta = _bounded(
+                np.tensordot(weight, normal, 1), weight @ right, self._upper
+            )
+            share = self._shares(sums, theta, order, factor)
+        return theta
+
+    def _shares(
+        self, sums: _Sums, theta: Array, order: NDArray[np.intp], factor: Array
+    ) -> Array:
+        """What weights leave of samples, over the variance of all, shape (n,)."""
+        normal, products, squares = sums
+        right = factor[:, None] * products[np.arange(len(order)), order]
+        rest = ((normal @ theta - 2 * right) * theta).sum(axis=1)
+        rest += factor**2 * squares[order]
+        share = rest / (factor**2 * self._size[order])
+        return np.asarray(np.clip(share, _NEGLIGIBLE, None))
 
 
 def smooth_sign(v: Array) -> Array:
@@ -199,7 +177,7 @@ def smooth_sign(v: Array) -> Array:
 
 
 def _drive_columns(state: State) -> Array:
-    """Columns of rotor, friction, spring and offset of each joint, shape (n, 6, M)."""
+    """Rotor, viscous and dry friction, spring, and offsets of both signs, (n, 6, M)."""
     free = np.isnan(state.relaxed)
     relaxed = np.where(free, state.q.mean(axis=0), state.relaxed)
     dry, one = smooth_sign(state.v), np.ones_like(state.v)

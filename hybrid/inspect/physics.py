@@ -14,15 +14,16 @@ that samples which a fit does not see tell less clearly.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics, regressor
 from hybrid.inspect.doubt import Doubt, Severity, error_if
-from hybrid.inspect.masses import MassColumns, unit_masses
+from hybrid.inspect.masses import MassColumns, smooth_sign, unit_masses
 from hybrid.inspect.reading import OtherReading, readings
 from hybrid.inspect.samples import STILL
 from hybrid.inspect.speeds import speeds_confirm_clock
@@ -52,37 +53,39 @@ class _Readings:
 
     def __init__(self, chain: Chain, state: State, masses: dict[str, Array]) -> None:
         self.chain, self.state, self.masses = chain, state, masses
-        self._regressors: dict[object, Array] = {}
+        each = np.arange(chain.size)
+        self.written = OtherReading((), (), "", each, np.ones(len(each)))
         self._columns: dict[object, MassColumns] = {}
-
-    def add_regressors(self, others: Sequence[OtherReading]) -> None:
-        """Compute the regressors of some readings in one call."""
-        moved = {other.motion: other.moved(self.state) for other in others}
-        q, v, a = (
-            np.concatenate([getattr(s, x) for s in moved.values()]) for x in "qva"
-        )
-        Y = np.split(regressor(self.chain, q, v, a), len(moved))
-        self._regressors |= zip(moved, Y, strict=True)
 
     def columns(self, reading: OtherReading, masses: str) -> MassColumns:
         """Columns along the motion of a reading."""
         key = masses, reading.motion
         if key not in self._columns:
-            moved, Y = reading.moved(self.state), self._regressors[reading.motion]
+            moved = reading.moved(self.state)
+            Y = regressor(self.chain, moved.q, moved.v, moved.a)
             self._columns[key] = MassColumns(moved, self.masses[masses], Y)
         return self._columns[key]
 
-    def residual(self, reading: OtherReading, masses: str, rounds: int = 2) -> Array:
+    def residual(
+        self, reading: OtherReading, masses: str, *, rounds: int = 2, blocks: int = 1
+    ) -> Array:
         """Share of each torque's variance that a fit leaves, shape (n,)."""
         columns = self.columns(reading, masses)
-        left = columns.residual(*reading.torque, rounds=rounds)
+        left = columns.residual(*reading.torque, rounds=rounds, blocks=blocks)
         return np.maximum(left, _FRICTION_ERROR) if masses == "file" else left
 
-    def unseen(self, reading: OtherReading, masses: str, blocks: int) -> Array:
-        """The same of blocks of the log that a fit does not see, shape (n,)."""
-        columns = self.columns(reading, masses)
-        left = columns.unseen(*reading.torque, blocks)
-        return np.maximum(left, _FRICTION_ERROR) if masses == "file" else left
+    def gains(
+        self,
+        others: list[OtherReading],
+        masses: str,
+        *,
+        rounds: int = 2,
+        blocks: int = 1,
+    ) -> list[float]:
+        """Gain of other readings over the log as written."""
+        left = partial(self.residual, masses=masses, rounds=rounds, blocks=blocks)
+        before = left(self.written)
+        return [_gain(before, left(x), x) for x in others]
 
 
 def doubts_of_magnitude(
@@ -98,13 +101,12 @@ def doubts_of_magnitude(
     suspect = (tau.min(axis=0) >= 0) & near_zero  # False where tau is NaN
     if robot is None or not suspect.any():
         return
-    chain, (q, v, a) = robot.chain, (state.q, state.v, state.a)
-    masses, Y = unit_masses(chain), regressor(chain, q, v, a)
+    chain, motion = robot.chain, (state.q, state.v, state.a)
+    masses, Y = unit_masses(chain), regressor(chain, *motion)
     plain = np.arange(chain.size), np.ones(chain.size)
     before = after = MassColumns(state, masses, Y).residual(*plain)
-    fastest = np.maximum(np.abs(v).max(axis=0), 1e-12)
-    dry = _DRY * state.tau.mean(axis=0) * np.tanh(v / (0.1 * fastest))
-    likely = inverse_dynamics(chain, chain.inertial, q, v, a) + dry
+    likely = inverse_dynamics(chain, chain.inertial, *motion)
+    likely += _DRY * state.tau.mean(axis=0) * smooth_sign(state.v)
     for _ in range(_SIGN_ROUNDS):
         sign = np.where(suspect & (likely < 0), -1.0, 1.0)
         columns = MassColumns(replace(state, tau=sign * state.tau), masses, Y)
@@ -143,69 +145,44 @@ def _better_reading(
 ) -> tuple[OtherReading, Array, Array, str, Severity] | None:
     """Find the reading that is clearly better than the log as written.
 
+    A short log is fitted well by any reading, and one of a hundred fits best by chance.
+    The better one therefore has to gain on samples that a fit does not see as well,
+    however the log is split.
+
     Returns:
         The reading, shares of variance left before and after, the masses that tell,
         and the severity; None if no reading is clearly better.
     """
-    from scipy.optimize import linear_sum_assignment
-
-    n = log.chain.size
-    written = OtherReading((), (), "", np.arange(n), np.ones(n))
-    log.add_regressors([written])
-    before = {masses: log.residual(written, masses) for masses in log.masses}
-    improvable = [
-        masses
-        for masses, x in before.items()
-        if _gain(x, np.minimum(x, _FRICTION_ERROR)) > _LEAST_GAIN
-    ]
-    if not improvable:
-        return None
-    moving = np.flatnonzero(np.ptp(log.state.q, axis=0) > STILL).tolist()
-    pairs = np.log(log.columns(written, "any").residual_of_pairs())
-    others = list(readings(log.chain, moving, linear_sum_assignment(pairs)[1]))
-    if clock_is_right:
-        others = [x for x in others if x.channels != ("t",)]
-    log.add_regressors(others)
-    for masses in log.masses:
-        unweighted = log.residual(written, masses, 1)
-        gains = [_gain(unweighted, log.residual(x, masses, 1), x) for x in others]
+    before = {masses: log.residual(log.written, masses) for masses in log.masses}
+    floors = {masses: np.minimum(x, _FRICTION_ERROR) for masses, x in before.items()}
+    improvable = [x for x in before if _gain(before[x], floors[x]) > _LEAST_GAIN]
+    others = _others(log, clock_is_right) if improvable else []
+    for masses in log.masses if others else ():
+        gains = log.gains(others, masses, rounds=1)
         finalists = [others[k] for k in np.argsort(gains)[: -_FINALISTS - 1 : -1]]
-        after = [log.residual(x, masses) for x in finalists]
-        found = [
-            _gain(before[masses], left, x)
-            for left, x in zip(after, finalists, strict=True)
-        ]
-        best = int(np.argmax(found))
-        unseen = -np.inf
-        if found[best] > _LEAST_GAIN:
-            unseen = _unseen_gain(log, masses, written, finalists[best])
-        if unseen > _EQUAL_GAIN:
-            severity = error_if(masses == "any" and unseen > _LEAST_GAIN)
-            return finalists[best], before[masses], after[best], masses, severity
+        weighted = log.gains(finalists, masses)
+        best = finalists[int(np.argmax(weighted))]
+        if max(weighted) > _LEAST_GAIN:
+            unseen = min(log.gains([best], masses, blocks=b)[0] for b in _SPLITS)
+            if unseen > _EQUAL_GAIN:
+                severity = error_if(masses == "any" and unseen > _LEAST_GAIN)
+                after = log.residual(best, masses)
+                return best, before[masses], after, masses, severity
         # A reading that needs impossible masses is not tested with the file's.
-        others = [
-            x for x, gain in zip(others, gains, strict=True) if gain > -_EQUAL_GAIN
-        ]
+        others = [x for x, own in zip(others, gains, strict=True) if own > -_EQUAL_GAIN]
         if not others or "file" not in improvable:
             break
     return None
 
 
-def _unseen_gain(
-    log: _Readings, masses: str, written: OtherReading, other: OtherReading
-) -> float:
-    """The least gain of a reading on unseen samples, however the log is split.
+def _others(log: _Readings, clock_is_right: bool) -> list[OtherReading]:
+    """Readings that are to be compared with the log as written."""
+    from scipy.optimize import linear_sum_assignment
 
-    A short log is fitted well by any reading, and one of a hundred fits best by chance.
-    """
-    return min(
-        _gain(
-            log.unseen(written, masses, blocks),
-            log.unseen(other, masses, blocks),
-            other,
-        )
-        for blocks in _SPLITS
-    )
+    moving = np.flatnonzero(np.ptp(log.state.q, axis=0) > STILL).tolist()
+    pairs = np.log(log.columns(log.written, "any").residual_of_pairs())
+    others = readings(log.chain, moving, linear_sum_assignment(pairs)[1])
+    return [x for x in others if not clock_is_right or x.channels != ("t",)]
 
 
 def _gain(before: Array, after: Array, reading: OtherReading | None = None) -> float:

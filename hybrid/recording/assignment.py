@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hybrid.errors import RecordingError, warn
+from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.joints import match_joints
 from hybrid.recording.labels import (
@@ -21,7 +21,7 @@ from hybrid.recording.labels import (
     parse_label,
     split_unit,
 )
-from hybrid.recording.mapping import Mapping, preset_of
+from hybrid.recording.mapping import Mapping, Source, preset_of
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
 from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError
@@ -55,14 +55,14 @@ class Assignment:
             )
         # One character more than the longest label that may have a meaning.
         labels = tuple(printable(x.strip())[: LONGEST + 1] for x in table.labels)
-        preset = preset_of(labels, mapping.preset or table.preset)
         self.table, self.labels, self.torque = table, labels, torque
-        self.map = mapping.over(preset)
-        self.joints = joints or self.map.joints or table.joints or ()
+        self.map = mapping
+        self.preset = preset_of(labels, mapping.preset or table.preset)
+        self.joints = joints or mapping.joints or table.joints or ()
         self.unused: dict[int, str] = {}  # column -> reason
 
-    def reading(self, *, quiet: bool = False) -> Reading:
-        """Assign all columns."""
+    def reading(self, channels: tuple[str, ...] = CHANNELS) -> Reading:
+        """Assign the columns of some channels; by default of all."""
         try:
             time = self._time()
         except RecordingError as error:
@@ -72,61 +72,40 @@ class Assignment:
         columns = self._columns(time.index)
         required = _REQUIRED if self.torque else _REQUIRED[:1]
         joints, used = self.joints or self._joints_of(columns), [time]
-        for channel in CHANNELS:
+        for channel in channels:
             assigned = self._assigned(channel, columns[channel], joints)
             if channel in required and not assigned:
                 raise self._missing_error(channel)
             used += assigned
-        taken = {u.index for u in used}
-        unused = {
-            k: self.unused.get(k, "not used")
+        taken, table = {u.index for u in used}, self.table
+        aside = [
+            (label, self.unused.get(k, "not used"))
             for k, label in enumerate(self.labels)
             if label and k not in taken
-        }
-        if not quiet:
-            self._warn([self.labels[k] for k in unused], stated=used[1].stated)
+        ]
+        notes = (table.note,) if table.note else ()
         return Reading(
-            self.table.kind, self.table.name, self.map.preset, tuple(used),
-            tuple((self.labels[k], why) for k, why in unused.items()),
-            (self.table.note,) if self.table.note else (),
-        )  # fmt: skip
-
-    def command_reading(self) -> Reading | None:
-        """Assign the columns of the command alone; None if there are none."""
-        try:
-            time = self._time()
-            columns = self._columns(time.index)["command"]
-            used = self._assigned("command", columns, self.joints)
-        except RecordingError:
-            return None
-        table = self.table
-        return Reading(table.kind, table.name, "", (time, *used)) if used else None
-
-    def _warn(self, unused: list[str], stated: bool) -> None:
-        home = self.table.home or self.table.place
-        lines = [f"ignored columns: {_listed(unused)}"] if unused else []
-        if self.map.preset == "lerobot" and not stated:
-            lines.append(
-                "units are not in a LeRobot dataset: positions are taken as radians; "
-                "if they are degrees, use --map FILE.yaml with q: {unit: deg}, "
-                "command: {unit: deg}"
-            )
-        for line in lines:
-            warn(f"{home}: {line}")
+            table.kind, table.name, self.preset.preset, tuple(used), tuple(aside), notes
+        )
 
     def _label(self, column: Meaning) -> str:
         return self.labels[column.index]
+
+    def _source(self, channel: str) -> Source:
+        """Source of a channel by the map, completed by the preset."""
+        return self.map.source(channel).over(self.preset.source(channel))
 
     def _error(self, text: str) -> RecordingError:
         return RecordingError(f"{self.table.place}: {text}")
 
     def _time(self) -> Used:
         """Find the column of time; its index is -1 if the map gives a rate."""
-        source, name = self.map.source("time"), self.map.source("time").columns
+        source = self._source("time")
+        name = source.columns
         if "rate" in source.factors:
             step = 1 / source.factor("time", 0)
             return Used(-1, "", "t", "", "s", True, step)
-        if name is not None and (self.map.own("time") or name in self.labels):
+        if name is not None and ("time" in self.map.sources or name in self.labels):
             found = [k for k, x in enumerate(self.labels) if x == name]
             what = f"no column {name!r}"
         else:
@@ -136,7 +115,7 @@ class Assignment:
             what = "no column of time" if not found else "more than one column of time"
         if len(found) != 1:
             raise self._error(
-                f"{what} among {_listed(self.labels)}; valid is one of "
+                f"{what} among {listed(self.labels)}; valid is one of "
                 f"{', '.join(TIME)}, in seconds or with its unit (time_ms), {_HELP}"
             )
         label = self.labels[found[0]]
@@ -147,18 +126,16 @@ class Assignment:
 
     def _columns(self, time: int) -> dict[str, list[Meaning]]:
         """Find the columns of each channel, by the map or by their labels."""
-        labelled, found = self._by_label(time), {}
+        labelled = self._by_label(time)
+        currents = labelled.get("current", [])
+        labelled.setdefault("tau", currents)
+        found: dict[str, list[Meaning]] = {}
         for channel in CHANNELS:
             dropped = self.map.source(channel).dropped
-            mapped = [] if dropped else self._by_map(channel)
-            found[channel] = mapped or ([] if dropped else labelled.get(channel, []))
-        currents = labelled.get("current", [])
-        if not found["tau"] and not self.map.source("tau").dropped:
-            found["tau"] = currents
-        taken = {c.index for columns in found.values() for c in columns}
-        for c in currents:
-            if c.index not in taken:
-                self.unused[c.index] = "current, beside a torque"
+            alike = labelled.get(channel, [])
+            found[channel] = [] if dropped else self._by_map(channel) or alike
+        if found["tau"] is not currents:
+            self.unused |= {c.index: "current, beside a torque" for c in currents}
         return found
 
     def _by_label(self, time: int) -> dict[str, list[Meaning]]:
@@ -181,15 +158,15 @@ class Assignment:
         return found
 
     def _by_map(self, channel: str) -> list[Meaning]:
-        source, where = self.map.source(channel), f"{channel} of {self.map.origin}"
+        source, where = self._source(channel), f"{channel} of {self.map.origin}"
         if source.columns is None:
             return []
         try:
             found = source.found(self.labels)
-            if not found and self.map.own(channel):
+            if not found and channel in self.map.sources:
                 raise ValueError(f"no column like {source.columns!r}")
         except ValueError as error:
-            among = _listed(self.labels)
+            among = listed(self.labels)
             raise self._error(f"{error} for {where} among {among}") from error
         columns = []
         for k, joint in found.items():
@@ -204,14 +181,14 @@ class Assignment:
                     if why.startswith("current")]  # fmt: skip
         if channel == "tau" and currents:
             return self._error(
-                f"no torques, but currents ({_listed(currents)}); valid is --map "
+                f"no torques, but currents ({listed(currents)}); valid is --map "
                 "FILE.yaml with tau: {torque_constant: N·m/A, gear_ratio: ...}, each a "
                 "number or a list in the order of the joints"
             )
         words = [w for w in CHANNEL_WORDS[channel].split()[:3] if w != "tauj"]
         kind = NoJointsError if channel == "q" else RecordingError
         return kind(
-            f"{self.table.place}: no {word} among the columns {_listed(self.labels)}; "
+            f"{self.table.place}: no {word} among the columns {listed(self.labels)}; "
             f"valid are {', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {_HELP}"
         )
 
@@ -248,7 +225,7 @@ class Assignment:
             good = [""]
         if len(good) != 1:
             raise self._error(
-                f"columns of {columns[0].channel} under {_listed([*groups])}"
+                f"columns of {columns[0].channel} under {listed([*groups])}"
                 f", {len(good) or 'none'} of them for the joints; valid is --map "
                 "FILE.yaml with topic: and the beginning of the right ones"
             )
@@ -287,7 +264,7 @@ class Assignment:
             extra and places[extra[0]].number is not None
         ):
             raise self._error(
-                f"columns of {channel} ({_listed([self._label(c) for c in columns])}): "
+                f"columns of {channel} ({listed([self._label(c) for c in columns])}): "
                 f"{joint_mismatch(tuple(places), joints)}"
             )
         for joint in extra:
@@ -298,7 +275,7 @@ class Assignment:
         self, channel: str, columns: Sequence[Meaning], joints: tuple[str, ...]
     ) -> list[Used]:
         """Columns of a channel with their units; none for currents without a factor."""
-        source, used = self.map.source(channel), []
+        source, used = self._source(channel), []
         constant = "torque_constant" in source.factors
         for place, (column, joint) in enumerate(zip(columns, joints, strict=True)):
             unit = self._unit(channel, column)
@@ -319,17 +296,14 @@ class Assignment:
 
     def _unit(self, channel: str, column: Meaning) -> str:
         """Unit of a column, from the user, the label, the file or the preset."""
-        source = self.map.source(channel)
-        stated = [source.unit, column.unit, self.table.unit(column.index)]
-        if not self.map.own(channel):  # the file overrules a preset
-            stated = [*stated[1:], source.unit]
-        if column.channel == "current" or "torque_constant" in source.factors:
-            stated.append("A")
-        return next(filter(None, stated), "")
+        own, preset = self.map.source(channel), self.preset.source(channel)
+        of_file = column.unit or self.table.unit(column.index)
+        current = column.channel == "current" or "torque_constant" in own.factors
+        return own.unit or of_file or preset.unit or ("A" if current else "")
 
     def _is_ignored_current(self, column: Meaning) -> bool:
         """Tell whether a current is ignored, and not refused as a wrong torque."""
-        of_preset = bool(self.map.preset) and not self.map.own("tau")
+        of_preset = bool(self.preset.preset) and "tau" not in self.map.sources
         return not self.torque or column.channel == "current" or of_preset
 
     def _unit_error(self, label: str, unit: str, channel: str) -> RecordingError:
@@ -341,7 +315,7 @@ class Assignment:
         )
 
 
-def _listed(labels: Sequence[str]) -> str:
+def listed(labels: Sequence[str]) -> str:
     """List at most twelve labels for a message, and count the others."""
     shown = ", ".join(label[:80] for label in labels[:12])
     return shown if len(labels) <= 12 else f"{shown} and {len(labels) - 12} more"

@@ -1,4 +1,9 @@
-"""Build a recording in SI units from the columns of a table, block by block."""
+"""Build one recording from the tables of a log, in SI units, block by block.
+
+Each table (stream, topic) has its own clock. The one with torques and the most channels
+becomes the recording. If it has no command, the command of another one is interpolated
+to its clock.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +14,91 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.errors import RecordingError
+from hybrid.errors import RecordingError, warn
+from hybrid.recording.assignment import Assignment, listed
+from hybrid.recording.mapping import Map, Mapping, read_mapping
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import Recording
-from hybrid.recording.table import LogTable
+from hybrid.recording.table import LogTable, NoJointsError
 from hybrid.recording.units import seconds
 
 
-def build_recording(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
-    """Build the recording of a table; no number is in memory twice."""
+def recording_of(
+    tables: tuple[LogTable, ...],
+    *,
+    joints: tuple[str, ...] | None = None,
+    map: Map = None,
+    torque: bool = True,
+) -> Recording:
+    """Build the recording of a log's tables; options as in :func:`read_all`."""
+    mapping = read_mapping(map)
+    tables = tuple(x for x in tables if x.name == mapping.topic) or tables
+    main, reading = _best(tables, joints, mapping, torque)
+    _warn(main, reading)
+    recording = _built(main, reading, torque=torque)
+    all_topics = replace(mapping, topic="")
+    for table in tables if recording.command is None else ():
+        if table is main:
+            continue
+        other = Assignment(table, recording.joints, all_topics, False)
+        try:
+            commanded = other.reading(("command",))
+        except RecordingError:  # of other joints
+            continue
+        if commanded.channels:
+            return _with_command(recording, main, table, commanded)
+    return recording
+
+
+def _best(
+    tables: tuple[LogTable, ...],
+    joints: tuple[str, ...] | None,
+    mapping: Mapping,
+    torque: bool,
+) -> tuple[LogTable, Reading]:
+    """Choose a table: first by torques, then by joint states, then by channels."""
+    good: list[tuple[tuple[bool, bool, int], LogTable, Reading]] = []
+    bad = list[RecordingError]()
+    for table in tables:
+        try:
+            reading = Assignment(table, joints, mapping, torque).reading()
+        except RecordingError as error:
+            bad.append(error)
+        else:
+            found = reading.channels
+            rank = ("tau" in found, table.preset == "joint_state", len(found))
+            good.append((rank, table, reading))
+    if not good:
+        raise min(bad, key=lambda error: isinstance(error, NoJointsError))
+    highest = max(rank for rank, *_ in good)
+    first, *more = (
+        (table, reading) for rank, table, reading in good if rank == highest
+    )
+    if more:
+        names = ", ".join(table.name for table, _ in (first, *more))
+        raise RecordingError(
+            f"{first[0].source}: joints in several topics: {names}; valid is --map "
+            "FILE.yaml with topic: and one of them"
+        )
+    return first
+
+
+def _warn(table: LogTable, reading: Reading) -> None:
+    """Warn of columns that are not used, and of units that a dataset does not state."""
+    home = table.home or table.place
+    if reading.aside:
+        labels = listed([label for label, _ in reading.aside])
+        warn(f"{home}: ignored columns: {labels}")
+    if reading.preset == "lerobot" and not reading.columns[1].stated:
+        warn(
+            f"{home}: units are not in a LeRobot dataset: positions are taken as "
+            "radians; if they are degrees, use --map FILE.yaml with q: {unit: deg}, "
+            "command: {unit: deg}"
+        )
+
+
+def _built(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
+    """Build the recording of one table; no number is in memory twice."""
     time, groups, notes = reading.time, reading.channels, list(reading.notes)
     clock, channels = _samples(table, time, groups)
     if time.index < 0:  # no clock, but a rate
@@ -98,3 +179,35 @@ def _check_numbers(x: NDArray[Any], used: Used, table: LogTable) -> None:
             f"{table.place}: {used.label} has shape {x.shape} and type {x.dtype}; "
             "valid are numbers, (N,) or (N, n)"
         )
+
+
+def _with_command(
+    recording: Recording, main: LogTable, table: LogTable, commanded: Reading
+) -> Recording:
+    """Add a command of another stream, interpolated to the clock of the recording.
+
+    The first command also holds before its time, and the last one after its time.
+    """
+    time, *used = commanded.columns
+    wanted = tuple(u.index for u in commanded.columns)
+    blocks = table.load(wanted)
+    columns = {k: np.concatenate([block[k] for block in blocks]) for k in wanted}
+    start = main.load((0,))[0][0][0]
+    # Both clocks count nanoseconds of the same epoch.
+    at = seconds(columns[time.index] - start, "ns")[0] + recording.t[0]
+    reading = recording.reading
+    assert reading is not None
+    if len(at) < 2 or at[-1] < recording.t[0] or at[0] > recording.t[-1]:
+        note = f"command of {table.name}: at other times than the joints"
+        return replace(recording, reading=replace(reading, notes=(note,)))
+    command = np.stack(
+        [np.interp(recording.t, at, columns[u.index] * u.factor) for u in used], axis=1
+    )
+    share = np.mean((recording.t >= at[0]) & (recording.t <= at[-1]))
+    note = (
+        f"command of {table.name}, interpolated; it covers {share:.0%} of the samples "
+        "and is held before and after"
+    )
+    columns_read = (*reading.columns, *used)
+    reading = replace(reading, columns=columns_read, notes=(*reading.notes, note))
+    return replace(recording, command=command, reading=reading)

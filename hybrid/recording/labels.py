@@ -111,13 +111,12 @@ def parse_label(label: str, joints: tuple[str, ...] = ()) -> Meaning:
     """Parse a label; names of known joints take precedence over other words."""
     if len(label) > LONGEST:
         return Meaning(why=f"a label of more than {LONGEST} characters")
+    bare, unit = split_unit(label)
     # 'q_A' is joint A, not a current
-    for text, unit in ((label.strip(), ""), split_unit(label)):
-        meaning = _parse_with_joints(text, joints)
-        if meaning is not None:
-            return replace(meaning, unit=unit)
-    text, unit = split_unit(label)
-    return replace(_parse(text), unit=unit)
+    for text, own in ((label.strip(), ""), (bare, unit)):
+        if meaning := _parse_with_joints(text, joints):
+            return replace(meaning, unit=own)
+    return replace(_parse(bare), unit=unit)
 
 
 def _parse_with_joints(text: str, joints: tuple[str, ...]) -> Meaning | None:

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping as MappingType
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -102,19 +102,6 @@ class Mapping:
         """Source of a channel; an empty one if the map does not mention it."""
         return self.sources.get(channel, Source())
 
-    def own(self, channel: str) -> bool:
-        """Tell whether the user, and not only the preset, gives a channel."""
-        preset = preset_of((), self.preset) if self.preset else Mapping()
-        return self.source(channel) != preset.source(channel)
-
-    def over(self, below: Mapping) -> Mapping:
-        """Complete this map from another."""
-        own = {k: x.over(below.source(k)) for k, x in self.sources.items()}
-        return replace(
-            self, preset=self.preset or below.preset,
-            joints=self.joints or below.joints, sources=below.sources | own,
-        )  # fmt: skip
-
 
 Map = str | Path | MappingType[str, Any] | Mapping | None
 
@@ -141,10 +128,11 @@ def read_mapping(given: Map) -> Mapping:
 def preset_of(labels: tuple[str, ...], name: str = "") -> Mapping:
     """Preset of a name, or the one that fits the labels; an empty map if none."""
     for key, (shown, content) in PRESETS.items():
-        if key == name or (not name and shown and all(
-            any(re.fullmatch(pattern, label) for label in labels) for pattern in shown
-        )):  # fmt: skip
-            return replace(_mapping(content, key), preset=key)
+        fits = shown and all(
+            any(re.fullmatch(x, label) for label in labels) for x in shown
+        )
+        if key == name or (fits and not name):
+            return _mapping({"preset": key, **content}, key)
     return Mapping()
 
 
@@ -167,7 +155,7 @@ def _mapping(content: Any, origin: str) -> Mapping:
             "of the columns, or file's name: robot's name"
         )
     named = isinstance(joints, dict)
-    found = Mapping(
+    return Mapping(
         preset,
         joints=() if named else tuple(map(str, joints)),
         names={str(k): str(joints[k]) for k in joints} if named else {},
@@ -179,7 +167,6 @@ def _mapping(content: Any, origin: str) -> Mapping:
         },
         origin=origin,
     )
-    return found.over(preset_of((), preset)) if preset else found
 
 
 def _source(value: Any, channel: str, where: str) -> Source:

@@ -10,12 +10,12 @@ from typing import Any
 
 from hybrid.errors import RecordingError, warn
 from hybrid.progress import Progress
+from hybrid.recording.build import recording_of
 from hybrid.recording.formats import FOLDERS, READERS, STREAMED, kind_of
 from hybrid.recording.formats.frame import table_of_frame
 from hybrid.recording.formats.ros import read_ros
 from hybrid.recording.mapping import Map, read_mapping
 from hybrid.recording.recording import Recording
-from hybrid.recording.streams import recording_of
 from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
 
 

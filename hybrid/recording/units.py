@@ -20,12 +20,11 @@ SI = {
     "current": ("A",),
     "temperature": ("degC",),
 }
+# Spellings that pint does not know.
 _SPELLED = {
-    "Nm": "N*m", "N m": "N*m", "N.m": "N*m", "N_m": "N*m", "mNm": "mN*m",
+    "Nm": "N*m", "N_m": "N*m", "mNm": "mN*m", "Ncm": "N*cm", "kNm": "kN*m",
     "rad_s": "rad/s", "rad_per_s": "rad/s", "deg_s": "deg/s", "deg_per_s": "deg/s",
-    "C": "degC", "°C": "degC", "sec": "s", "seconds": "s", "nsec": "ns",
-    "usec": "us", "msec": "ms", "Deg": "deg", "Degrees": "deg", "degrees": "deg",
-    "radians": "rad", "Ncm": "N*cm", "kNm": "kN*m",
+    "C": "degC", "Deg": "deg", "Degrees": "deg",
 }  # fmt: skip
 _PLAIN = re.compile(r"[A-Za-zµμ°*/^ ·.²-]{1,16}(-1)?")
 EPOCH = 1e9  # s; later times count from 1970

@@ -201,7 +201,8 @@ def _filtered(x: Array, rate: float, cutoff: float, axis: int, factor: int) -> A
     signals = np.ascontiguousarray(x).reshape(-1, samples)
     out = np.empty((len(signals), kept))
     for i in range(0, len(signals), _BLOCK):
-        spectrum = rfft(_padded(signals[i : i + _BLOCK], pad), size)
+        block, ends = signals[i : i + _BLOCK], ((0, 0), (pad, pad))
+        spectrum = rfft(np.pad(block, ends, "reflect", reflect_type="odd"), size)
         spectrum *= gain
         spectrum = _aliased(spectrum, size, factor)
         out[i : i + _BLOCK] = irfft(spectrum, decimated)[:, pad // factor :][:, :kept]
@@ -224,13 +225,3 @@ def _nonzero_range(x: Array, pad: int, factor: int) -> tuple[int, int]:
     first = max(nonzero[0] - 2 * pad, 0) // factor * factor
     last = min(nonzero[-1] + 1 + 2 * pad, samples)
     return (int(first), int(last)) if last - first < _SHORT * samples else (0, samples)
-
-
-def _padded(x: Array, pad: int) -> Array:
-    """Signals (k, N) with ``pad`` samples of their point reflection at either end."""
-    if pad >= x.shape[1]:
-        ends = (0, 0), (pad, pad)
-        return np.pad(x, ends, mode="reflect", reflect_type="odd")
-    first, last = x[:, :1], x[:, -1:]
-    before, after = x[:, pad:0:-1], x[:, -2 : -pad - 2 : -1]
-    return np.concatenate([2 * first - before, x, 2 * last - after], axis=1)

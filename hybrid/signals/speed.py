@@ -47,7 +47,6 @@ class SpeedCheck:
 
     Attributes:
         scale: Factor of each joint, shape (n,); 1 for a speed in rad/s.
-        scale_std: Standard deviation of the scale, shape (n,).
         lag: Delay of the speed, shape (n,), [s].
         coherence: Coherence of speed and position at the frequencies of the motion,
             shape (n,), 0 to 1.
@@ -59,7 +58,6 @@ class SpeedCheck:
     """
 
     scale: Array
-    scale_std: Array
     lag: Array
     coherence: Array
     same_noise: Array
@@ -76,7 +74,7 @@ def speed_against_position(recording: Recording) -> SpeedCheck:
     """
     n, v = recording.size, recording.v
     if v is None or len(v) < _FEWEST:
-        return SpeedCheck(*(np.full(n, np.nan),) * 6, np.zeros(1), np.zeros((1, n)))
+        return SpeedCheck(*(np.full(n, np.nan),) * 5, np.zeros(1), np.zeros((1, n)))
     rate = (len(v) - 1) / recording.duration
     u, lag = _position_difference(recording), np.zeros(n)
     check = _compare(u, v, rate)
@@ -90,7 +88,7 @@ def speed_against_position(recording: Recording) -> SpeedCheck:
 
 def _compare(u: Array, v: Array, rate: float) -> SpeedCheck:
     """Compare central differences u of position with speeds v, shapes (N, n)."""
-    f, count, densities = _densities(u, v, rate)
+    f, densities = _densities(u, v, rate)
     uu, vv, uv, aa, av, au = (x.real for x in densities)
     w, in_band = 2 * np.pi * f[:, None], f >= f[-1] * NOISE_BAND[0] / NOISE_BAND[1]
     coherence = np.abs(densities[2]) ** 2 / np.maximum(uu * vv, _TINY)
@@ -99,15 +97,13 @@ def _compare(u: Array, v: Array, rate: float) -> SpeedCheck:
     position_noise, speed_noise = w**2 * noise, np.median(vv[in_band], axis=0)
     weight = 1 / np.maximum(position_noise + speed_noise, _TINY)
     weight = np.where(uu > 2 * position_noise, weight, 0)
-    signal = weight * np.maximum(uu - position_noise, 0)
-    power, terms = signal.sum(axis=0), (uv, au, uu, av, aa, vv)
-    uv_, au_, uu_, av_, aa_, vv_ = ((weight * x).sum(axis=0) for x in terms)
+    terms = np.maximum(uu - position_noise, 0), uv, au, uu, av, aa, vv
+    power, uv_, au_, uu_, av_, aa_, vv_ = ((weight * x).sum(axis=0) for x in terms)
     with np.errstate(divide="ignore", invalid="ignore"):
         # Least squares of v ≈ scale · (u − lag · a).
         lag = np.nan_to_num((au_ * uv_ - uu_ * av_) / (aa_ * uv_ - au_ * av_))
         scale = uv_ / power
         error = np.maximum(vv / scale**2 + uu - 2 * uv / scale, 0)
-        std = np.sqrt((signal * weight * error).sum(axis=0) / count) / power
         coherence = uv_**2 / uu_ / np.maximum(vv_, _TINY)
         good = (coherence > _COHERENCE) & (np.abs(scale - 1) < _SCALE_ERROR)
         speed_noise = np.maximum(
@@ -115,7 +111,7 @@ def _compare(u: Array, v: Array, rate: float) -> SpeedCheck:
         )
         gain = np.where(good, 1 / (1 + speed_noise / position_noise), 0)
     gain = np.nan_to_num(gain)
-    return SpeedCheck(scale, std, lag, coherence, same_noise, noise, f, gain)
+    return SpeedCheck(scale, lag, coherence, same_noise, noise, f, gain)
 
 
 def correction_by_speed(
@@ -169,8 +165,8 @@ def _position_difference(recording: Recording) -> Array:
     return np.asarray(np.gradient(recording.q, axis=0) * rate)
 
 
-def _densities(u: Array, v: Array, rate: float) -> tuple[Array, int, list[Spectrum]]:
-    """Frequencies, number of segments, and cross densities of u, a = du/dt and v."""
+def _densities(u: Array, v: Array, rate: float) -> tuple[Array, list[Spectrum]]:
+    """Frequencies, and cross densities of u, a = du/dt and v."""
     from scipy.fft import rfft
 
     size = min(len(u), int(_SEGMENT * rate))
@@ -187,7 +183,7 @@ def _densities(u: Array, v: Array, rate: float) -> tuple[Array, int, list[Spectr
         U, A = U / slope, A / slope**2
         terms = (U, U), (V, V), (U, V), (A, A), (A, V), (A, U)
         sums = [s + x.conj() * y for s, (x, y) in zip(sums, terms, strict=True)]
-    return f, count, [s.T / count for s in sums]
+    return f, [s.T / count for s in sums]
 
 
 def _moving_band(size: int, rate: float) -> Array:

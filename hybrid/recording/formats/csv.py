@@ -7,7 +7,7 @@ import gzip
 import re
 import warnings
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO, TextIOWrapper
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
-from hybrid.recording.formats.fields import field_table, named_labels
+from hybrid.recording.formats.fields import named_labels
 from hybrid.recording.recording import row_words
 from hybrid.recording.table import LARGEST_FILE, LogTable
 
@@ -56,13 +56,11 @@ def read_csv(path: Path) -> list[tuple[LogTable]]:
     if labels and not labels[0].strip() and text.first and _DATE.match(text.first[0]):
         labels = ("time", *labels[1:])  # unnamed index of pandas
     labels = named_labels(labels, dict(zip(labels, text.first, strict=False)))
-    layout = [(label, str(k), None) for k, label in enumerate(labels)]
-    return [(field_table(str(path), layout, partial(_columns, text), kind="CSV"),)]
+    return [(LogTable(str(path), labels, partial(_blocks, text), kind="CSV"),)]
 
 
-def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
-    """Load columns by the text of their indices from 0."""
-    used = [int(k) for k in names]
+def _blocks(text: _Text, used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
+    """Load columns by their indices, in one block."""
     kinds = {k: _kind(text.first[k] if k < len(text.first) else "") for k in used}
     columns = _by_arrow(text, kinds)
     if columns is None:
@@ -71,10 +69,10 @@ def _columns(text: _Text, names: Iterable[str]) -> dict[str, NDArray[Any]]:
         except ValueError as error:
             reason = _explanation(text, str(error))
             raise RecordingError(f"{text.path}: {reason}") from error
-        columns = {str(k): rows[str(k)] for k in used}
-    if used and not len(columns[str(used[0])]):
+        columns = {k: rows[str(k)] for k in used}
+    if used and not len(columns[used[0]]):
         raise RecordingError(f"{text.path}: no rows below the column names")
-    return columns
+    return [columns]
 
 
 def _kind(cell: str) -> str:
@@ -84,7 +82,7 @@ def _kind(cell: str) -> str:
     return "i8" if _WHOLE.fullmatch(cell) else "f8"
 
 
-def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[str, NDArray[Any]] | None:
+def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[int, NDArray[Any]] | None:
     """Load all rows five times as fast; None without pyarrow, or if it refuses one."""
     try:
         from pyarrow import ArrowInvalid, from_numpy_dtype, timestamp
@@ -114,7 +112,7 @@ def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[str, NDArray[Any]] 
     if any(kind == "i8" for kind in kinds.values()) and _has_hexadecimals(text):
         return None  # Arrow reads them as whole numbers
     return {
-        str(k): np.concatenate(
+        k: np.concatenate(
             [np.empty(0, kind), *(_numbers(x, kind) for x in table[str(k)].chunks)]
         )
         for k, kind in kinds.items()

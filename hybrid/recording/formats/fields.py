@@ -13,34 +13,12 @@ from hybrid.names import printable
 from hybrid.recording.labels import is_time, parse_label, split_unit
 from hybrid.recording.table import MOST_COLUMNS, LogTable
 
-FieldColumn = tuple[str, str, int | None]  # label, field, column of the field
 Fields = Mapping[str, NDArray[Any]]  # each of shape (N,) or (N, n)
 NAMES = ("joints", "joint_names")  # labels of arrays that name the joints
 Get = Callable[[Iterable[str]], Fields]
 
 _NAME = re.compile(r"(.*[./]|)(?:joint_)?names?[_.]?\[?(\d+)\]?")
 _STATE = re.compile(r"(.*[./]|)(position|velocity|effort)s?[_.]?\[?(\d+)\]?")
-
-
-def field_table(
-    source: str, layout: Sequence[FieldColumn], get: Get, **more: Any
-) -> LogTable:
-    """Make a table whose columns are parts of fields; ``get`` loads fields by name."""
-
-    def load(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
-        fields = get(dict.fromkeys(layout[k][1] for k in used))
-        return [{k: _column(fields, layout[k], source) for k in used}]
-
-    return LogTable(source, tuple(label for label, _, _ in layout), load, **more)
-
-
-def _column(fields: Fields, column: FieldColumn, source: str) -> NDArray[Any]:
-    _, name, place = column
-    if place is None:
-        return fields[name]
-    if fields[name].shape[1] <= place:
-        raise RecordingError(f"{source}: lists of {name!r} of many lengths")
-    return fields[name][:, place]
 
 
 def table_of_arrays(
@@ -55,31 +33,48 @@ def table_of_arrays(
         get: Loads arrays by label; by default ``arrays`` themselves are used.
         more: Further fields of the table.
     """
-    names, all_arrays = None, arrays
-    load: Get = get or (lambda _: all_arrays)
-    for key in NAMES:
-        if key in arrays and arrays[key].dtype.kind in "SUO":
-            arrays = {k: x for k, x in arrays.items() if k != key}
-            names = names or tuple(
-                x.decode("utf-8", "replace") if isinstance(x, bytes) else str(x).strip()
-                for x in load([key])[key].ravel()
-            )
-    layout: list[FieldColumn] = []
+    load: Get = get or (lambda _: arrays)
+    named = [k for k in NAMES if k in arrays and arrays[k].dtype.kind in "SUO"]
+    names = _texts(load(named)[named[0]]) if named else None
+    layout: list[tuple[str, str, int | None]] = []  # label, array, column of it
     for label, x in arrays.items():
-        timed = is_time(split_unit(label)[0])
-        kinds = "fiuM" if timed else "fiu"
-        is_used = timed or parse_label(label).channel
-        if is_used and (x.ndim not in (1, 2) or x.dtype.kind not in kinds):
-            raise RecordingError(
-                f"{source}: {printable(label)} has shape {x.shape} and type {x.dtype}; "
-                "valid are numbers, (N,) or (N, n)"
-            )
+        if label in named:
+            continue
+        _check_numbers(label, x, source)
         if is_time(label) or x.ndim != 2:
             layout.append((label, label, None))
         else:
             columns = _labels(label, x.shape[1], names, source)
             layout += [(column, label, k) for k, column in enumerate(columns)]
-    return field_table(source, layout, load, joints=names, **more)
+
+    def blocks(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
+        fields, columns = load(dict.fromkeys(layout[k][1] for k in used)), {}
+        for k in used:
+            _, label, place = layout[k]
+            columns[k] = fields[label] if place is None else fields[label][:, place]
+        return [columns]
+
+    labels = tuple(label for label, _, _ in layout)
+    return LogTable(source, labels, blocks, joints=names, **more)
+
+
+def _texts(x: NDArray[Any]) -> tuple[str, ...]:
+    return tuple(
+        v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v).strip()
+        for v in x.ravel()
+    )
+
+
+def _check_numbers(label: str, x: NDArray[Any], source: str) -> None:
+    """Refuse an array under the label of time or of a channel that holds no columns."""
+    timed = is_time(split_unit(label)[0])
+    kinds = "fiuM" if timed else "fiu"
+    is_used = timed or parse_label(label).channel
+    if is_used and (x.ndim not in (1, 2) or x.dtype.kind not in kinds):
+        raise RecordingError(
+            f"{source}: {printable(label)} has shape {x.shape} and type {x.dtype}; "
+            "valid are numbers, (N,) or (N, n)"
+        )
 
 
 def _labels(

@@ -86,26 +86,22 @@ def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:
     import h5py
 
     found: dict[str, NDArray[Any]] = {}
-    waiting, seen, size = [("", file, 0)], 0, 0
-    while waiting:
-        prefix, group, depth = waiting.pop()
-        for name in group:
-            seen += 1
-            if seen > _MOST or depth > _DEEPEST:
-                raise RecordingError(f"{source}: more than {_MOST} groups and arrays")
-            # Links to other files are ignored.
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                continue
-            item, label = group[name], f"{prefix}{name}"
-            if isinstance(item, h5py.Group):
-                waiting.append((f"{label}/", item, depth + 1))
-            elif isinstance(item, h5py.Dataset) and _is_read(item):
-                size += item.size * item.dtype.itemsize
-                if size > LARGEST_FILE:
-                    raise RecordingError(
-                        f"{source}: arrays of more than {LARGEST_FILE:.3g} bytes"
-                    )
-                found[_label_with_unit(label, item)] = item[()]
+    seen, size = 0, 0
+
+    def visit(name: str, item: Any) -> None:
+        nonlocal seen, size
+        seen += 1
+        if seen > _MOST or name.count("/") > _DEEPEST:
+            raise RecordingError(f"{source}: more than {_MOST} groups and arrays")
+        if isinstance(item, h5py.Dataset) and _is_read(item):
+            size += item.size * item.dtype.itemsize
+            if size > LARGEST_FILE:
+                raise RecordingError(
+                    f"{source}: arrays of more than {LARGEST_FILE:.3g} bytes"
+                )
+            found[_label_with_unit(name, item)] = item[()]
+
+    file.visititems(visit)  # follows no links to other files
     return found
 
 
