@@ -89,15 +89,6 @@ def test_so_they_are_for_random_chains_and_weights(seed):
         assert_same(x, y, 1e-11)
 
 
-def test_rows_are_the_same_where_those_of_the_links_are_known_already():
-    robot = arm("coman_like")
-    problem, (motion, *_) = linear_problem(robot), loaded(robot)
-    links = problem.rows.link_columns(motion)
-    assert links.shape == (robot.size, len(problem.rigid), len(motion.t))
-    found, expected = problem.rows.along(motion, links), problem.rows.along(motion)
-    np.testing.assert_array_equal(found, expected)
-
-
 def test_sums_of_more_terms_hold_those_of_each_problem():
     robot = arm("planar")
     chosen, standing = loaded(robot), np.full(2, 0.05)

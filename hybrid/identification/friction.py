@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
@@ -24,7 +23,6 @@ from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.identification.data import Data
-from hybrid.regression.cross_products import sampled_chunks
 from hybrid.signals import Sampler
 
 _THRESHOLDS = 16
@@ -127,16 +125,9 @@ def _products(
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         moves = sampler.keep(data.moves(motion)[:, joint])
         own, v = sampler.keep(fold)[moves], motion.v[:, joint]
-
-        def columns(
-            v: Array = v, sampler: Sampler = sampler, moves: NDArray[np.bool_] = moves
-        ) -> Array:
-            chunks = sampled_chunks(lambda x: _columns(v[x], fastest), len(v), sampler)
-            return np.concatenate([D for _, D, _ in chunks], axis=1)[:, moves]
-
-        known = data.cached(("friction", joint), motion, columns)
         new[0] = np.abs(new[0]) * np.sign(v)
-        rows = np.concatenate([known, sampler(np.stack(new), axis=1)[:, moves]])
+        columns = np.concatenate([_columns(v, fastest), new])
+        rows = sampler(columns, axis=1)[:, moves]
         for k in np.unique(own):
             part = rows[:, own == k]
             sums[k] += part @ part.T

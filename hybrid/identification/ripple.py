@@ -20,6 +20,7 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification.data import Data
 from hybrid.identification.partial_regression import PartialRegression
 from hybrid.identification.solution import Solution
+from hybrid.regression.cross_products import chunks_along
 from hybrid.regression.problem import part
 from hybrid.signals import Motion, Sampler, butterworth_gain
 
@@ -149,9 +150,9 @@ def _pieces(data: Data, solution: Solution, waves: Waves) -> list[list[_Piece]]:
     for r, (motion, fold) in enumerate(zip(data.motions, data.folds, strict=True)):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         total = int(min(1.0, share) * len(motion.t))
-        chunks = data.chunks(problem.rows, motion, total)
-        whole = np.concatenate([D for _, D, _ in chunks], axis=1)
         short, few = part(motion, slice(0, total)), slice(0, total, sampler.factor)
+        chunks = chunks_along(problem.rows, short, sampler)
+        whole = np.concatenate([D for _, D, _ in chunks], axis=1)
         block = ((motion.t[few] - motion.t[0]) // _BLOCK_SECONDS).astype(int)
         moves = data.moves(motion)[few]
         for joint, own in enumerate(found):

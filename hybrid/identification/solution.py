@@ -65,7 +65,7 @@ class Solution:
             self.products,
             self.weighted,
             prior=self.prior,
-            complete=self.products.source.of(whole),
+            complete=self.data.products(whole),
         )
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,6 @@ class Sums:
             self.fold,
             self.scores and self.scores.of(np.split(own, problem.rows.offsets[1:-1])),
             problem,
-            self,
         )
 
     @cached_property
@@ -80,21 +80,13 @@ class Sums:
         return self.weighted(np.ones(len(self.fold)))
 
     def weighted(self, share: Array) -> Array:
-        """Sums over the blocks of each fold, each with a weight, shape (F, P, P).
-
-        Args:
-            share: Weight of each block, shape (B,).
-        """
+        """Sums over the blocks of each fold, each with a weight, shape (F, P, P)."""
         last = max(x.fold.max() for x in (self, self.scores) if x)
         member = np.arange(last + 1)[:, None] == self.fold
         return np.asarray(np.tensordot(member * share, self.blocks, axes=1))
 
     def weighted_total(self, share: Array) -> Array:
-        """Sum over all blocks, each with a weight, shape (P, P).
-
-        Args:
-            share: Weight of each block, shape (B,).
-        """
+        """Sum over all blocks, each with a weight, shape (P, P)."""
         if share.min() == 1.0:
             return self.total
         return np.asarray(np.tensordot(share, self.blocks, axes=1))
@@ -106,11 +98,9 @@ class CrossProducts(Sums):
 
     Attributes:
         problem: The unknowns.
-        source: Sums of these and other rows.
     """
 
     problem: Problem
-    source: Sums
 
     @property
     def samples(self) -> int:
@@ -131,30 +121,13 @@ class CrossProducts(Sums):
         problem, many = self.problem, sums.shape[:-2]
         A = np.zeros((*many, problem.size, problem.size))
         b = np.zeros((*many, problem.size))
-        for i, left in enumerate(problem.support):
-            rows = slice(self.rows.offsets[i], self.rows.offsets[i] + len(left))
-            for k, right in enumerate(problem.support):
-                if weight[i, k] == 0:
-                    continue
-                start = self.rows.offsets[k]
-                columns = slice(start, start + len(right))
-                A[..., left[:, None], right] += weight[i, k] * sums[..., rows, columns]
-                b[..., left] += weight[i, k] * sums[..., rows, start + len(right)]
+        parts = [slice(x, y) for x, y in pairwise(self.rows.offsets)]
+        for i, k in zip(*np.nonzero(weight), strict=True):
+            left, right = problem.support[i], problem.support[k]
+            own = weight[i, k] * sums[..., parts[i], parts[k]]
+            A[..., left[:, None], right] += own[..., :-1, :-1]
+            b[..., left] += own[..., :-1, -1]
         return A, b
-
-    def residual_map(self, theta: Array) -> Array:
-        """Matrix that maps rows to residuals: residual = mapᵀ · rows, shape (P, n).
-
-        Args:
-            theta: Unknowns, shape (p,).
-        """
-        problem = self.problem
-        C = np.zeros((self.rows.offsets[-1], len(problem.support)))
-        for i, support in enumerate(problem.support):
-            start = self.rows.offsets[i]
-            C[start : start + len(support), i] = -theta[support]
-            C[start + len(support), i] = 1.0
-        return C
 
     def residual_products(self, theta: Array, sums: Array | None = None) -> Array:
         """Sum of products of residuals across joints, shape (..., n, n), [N²·m²].
@@ -163,7 +136,10 @@ class CrossProducts(Sums):
             theta: Unknowns, shape (p,).
             sums: Cross-products to use, shape (..., P, P); all blocks by default.
         """
-        C = self.residual_map(theta)
+        C = np.zeros((self.rows.offsets[-1], len(self.problem.support)))
+        for i, support in enumerate(self.problem.support):
+            own = slice(*self.rows.offsets[i : i + 2])
+            C[own, i] = [*-theta[support], 1.0]
         return np.asarray(C.T @ (self.total if sums is None else sums) @ C)
 
     def held_out_squares(self, theta: Array) -> Array:
@@ -184,7 +160,6 @@ def accumulate(
     standing: Array,
     folds: Sequence[NDArray[np.intp]] | None = None,
     blocks: Sequence[NDArray[np.intp]] | None = None,
-    chunks: Callable[[Rows, Motion], Chunks] | None = None,
 ) -> Sums:
     """Sums of products of rows along motions, columns and torque filtered identically.
 
@@ -199,7 +174,6 @@ def accumulate(
         folds: Fold of every sample, shape (N,) for each motion.
         blocks: Scoring block of every sample, shape (N,) for each motion; each block
             lies in one fold.
-        chunks: Source of the rows of a motion; see :func:`sampled_chunks`.
 
     Returns:
         Sums in about 100 blocks at most.
@@ -211,61 +185,44 @@ def accumulate(
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
     sizes = np.diff(rows.offsets).tolist()
     scores = Scores.empty(sizes, blocks, folds) if blocks and folds else None
-    found: list[tuple[int, int, Array, Array]] = []
+    # Products and counts by recording, block and fold.
+    found: dict[tuple[int, int, int], tuple[Array, Array]] = {}
     for r, motion in enumerate(motions):
         sampler = Sampler.for_rate(motion.rate, cutoff)
         length = max(1, round(block_seconds * motion.rate / sampler.factor))
-        fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
+        fold = folds[r] if folds else np.zeros(len(motion.t), dtype=np.intp)
         moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T
-        sums: dict[tuple[int, int], tuple[Array, Array]] = {}
-        for first, D, raw in (chunks or _chunks(sampler))(rows, motion):
-            if scores is not None and blocks is not None:
-                here = slice(
-                    first * sampler.factor, first * sampler.factor + raw.shape[1]
-                )
+        for first, D, raw in chunks_along(rows, motion, sampler):
+            here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
+            if scores and blocks:
                 scores.add(blocks[r][here], raw, moves[:, here])
-            few = slice(first, first + D.shape[1])
-            moving = moves[:, :: sampler.factor][:, few].astype(float)
-            if not moving.all():
-                D *= np.repeat(moving, sizes, axis=0)
-            at = (first + np.arange(D.shape[1])) // length
-            _add(sums, D, moving, at, fold[:: sampler.factor][few])
-        found += [(r, key[1], *x) for key, x in sorted(sums.items())]
+            moving = moves[:, here][:, :: sampler.factor].astype(float)
+            D *= np.repeat(moving, sizes, axis=0)
+            block = (first + np.arange(D.shape[1])) // length
+            own = sampler.keep(fold[here])
+            for start, stop in runs_of(block, own):
+                x, there = D[:, start:stop], moving[:, start:stop]
+                if there.any():
+                    key = r, int(block[start]), int(own[start])
+                    products, counts = found.get(key, (0.0, 0.0))
+                    found[key] = products + x @ x.T, counts + there @ there.T
     if not found:
         raise IdentificationError(
             "no usable sample: every one is masked, or no joint moves"
         )
-    recording, block_fold, products, counts = map(np.array, zip(*found, strict=True))
+    keys = sorted(found)
+    recording, _, block_fold = np.array(keys).T
+    products, counts = map(np.array, zip(*(found[k] for k in keys), strict=True))
     return Sums(rows, products, counts, recording, block_fold, scores)
 
 
-def _add(
-    sums: dict[tuple[int, int], tuple[Array, Array]],
-    D: Array,
-    moving: Array,
-    block: NDArray[np.intp],
-    fold: NDArray[np.intp],
-) -> None:
-    """Add products and counts of some samples, by block and fold."""
-    for start, stop in runs_of(block, fold):
-        part, moves = D[:, start:stop], moving[:, start:stop]
-        if moves.any():
-            key = int(block[start]), int(fold[start])
-            products, counts = sums.get(key, (0.0, 0.0))
-            sums[key] = products + part @ part.T, counts + moves @ moves.T
-
-
-def _chunks(sampler: Sampler) -> Callable[[Rows, Motion], Chunks]:
-    return lambda rows, motion: sampled_chunks(
-        lambda samples: rows.along(part(motion, samples)), len(motion.t), sampler
-    )
+def chunks_along(rows: Rows, motion: Motion, sampler: Sampler) -> Chunks:
+    """Rows along a motion; see :func:`sampled_chunks`."""
+    return sampled_chunks(lambda x: rows.along(part(motion, x)), len(motion.t), sampler)
 
 
 def sampled_chunks(
-    rows: Callable[[slice], Array],
-    total: int,
-    sampler: Sampler,
-    filtered: Callable[[slice, Array], Array] | None = None,
+    rows: Callable[[slice], Array], total: int, sampler: Sampler
 ) -> Chunks:
     """Evaluate rows at full rate, filter and decimate them, one chunk at a time.
 
@@ -275,8 +232,6 @@ def sampled_chunks(
         rows: Function from a slice of samples to rows of shape (P, N).
         total: Number of samples.
         sampler: Filter and decimation.
-        filtered: Function from a slice and its rows to filtered and decimated rows; by
-            default the sampler.
 
     Yields:
         Index of the first decimated sample, the decimated rows, shape (P, M), and the
@@ -286,13 +241,9 @@ def sampled_chunks(
     margin = -(-max(sampler.margin, _GRADIENT_MARGIN) // factor) * factor
     chunk = max(_CHUNK, 4 * margin) // factor * factor
     for start in range(0, total, chunk):
-        before = max(0, start - margin)
-        after = min(total, start + chunk + margin)
-        stop = min(total, start + chunk)
-        here = slice(before, after)
-        full = rows(here)
-        D = filtered(here, full) if filtered else sampler(full, axis=1)
-        skip = (start - before) // factor
-        count = -(-(stop - start) // factor)
+        before, stop = max(0, start - margin), min(total, start + chunk)
+        full = rows(slice(before, min(total, stop + margin)))
+        D = sampler(full, axis=1)
+        skip, count = (start - before) // factor, -(-(stop - start) // factor)
         raw = full[:, start - before : stop - before]
         yield start // factor, D[:, skip : skip + count], raw

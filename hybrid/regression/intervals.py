@@ -176,11 +176,11 @@ def _covariance(
         precision = np.pad(prior.precision, added)
         hessian = hessian + precision
         gradient = gradient + np.pad(prior.pull, added) - precision @ theta
-    gradients = _block_gradients(products, theta, weight)
-    count = len(gradients)
-    changes = np.empty((count, len(theta)))
-    for k, block in enumerate(products.normal(weight, products.blocks)[0]):
-        changes[k] = pseudo_solve(hessian - block, gradient - gradients[k])
+    each = zip(*products.normal(weight, products.blocks), strict=True)
+    changes = np.array([
+        pseudo_solve(hessian - A_k, gradient - (b_k - A_k @ theta)) for A_k, b_k in each
+    ])  # fmt: skip
+    count = len(changes)
     changes -= changes.mean(axis=0)
     changes *= np.sqrt(_variance_inflation(changes, products.recording))
     covariance = np.asarray((count - 1) / count * changes.T @ changes)
@@ -191,17 +191,6 @@ def _covariance(
         of_prior = inverse @ precision @ inverse
         covariance += max(1.0, float(np.median(counts))) * of_prior
     return covariance[:size, :size], count - 1
-
-
-def _block_gradients(products: CrossProducts, theta: Array, weight: Array) -> Array:
-    """Descent direction Yᵀ·weight·residual of each block, shape (B, p)."""
-    problem, C = products.problem, products.residual_map(theta)
-    moments = products.blocks @ (C @ weight)  # (B, P, n)
-    found = np.zeros((len(moments), problem.size))
-    for i, support in enumerate(problem.support):
-        start = products.rows.offsets[i]
-        found[:, support] += moments[:, start : start + len(support), i]
-    return found
 
 
 def _variance_inflation(series: Array, recording: NDArray[np.intp]) -> Array:

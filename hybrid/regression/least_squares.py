@@ -69,20 +69,26 @@ def solve_weighted(
             f"{products.samples} samples of {n} joints cannot determine {p} unknowns; "
             "longer recordings are needed"
         )
+    lower = products.problem.lower if bounded else None
+
+    def solution(weight: Array, share: Array, prior: Prior | None) -> Array:
+        A, b = products.normal(weight, products.weighted_total(share))
+        return _optimum(A, b, lower, prior)
+
     weight: Array = np.eye(n)
     share = np.ones(len(products.counts))
-    theta = _step(products, weight, share, bounded, None)
+    theta = solution(weight, share, None)
     if prior is not None:  # its weight against the data depends on the noise variance
         variance = np.diag(_sigma(products, theta, share, False)).mean()
         weight = np.eye(n) / variance
-        theta = _step(products, weight, share, bounded, prior)
+        theta = solution(weight, share, prior)
     converged, iterations = estimator == "ls", 0
     limit = {"ls": 0, "wls": 2, "irls": _MOST_ITERATIONS}[estimator]
     while iterations < limit and not converged:
         share = _block_weights(products, theta, weight) if robust else share
         sigma = _sigma(products, theta, share, estimator == "irls")
         weight = np.asarray(np.linalg.inv(sigma), dtype=np.float64)
-        before, theta = theta, _step(products, weight, share, bounded, prior)
+        before, theta = theta, solution(weight, share, prior)
         change = np.abs(theta - before).max() / (np.abs(theta).max() + 1e-12)
         converged, iterations = bool(change < _TOLERANCE), iterations + 1
     converged = converged or estimator == "wls"
@@ -109,32 +115,20 @@ def without_folds(
             (p,); plain or bounded least squares by default.
         share: Weight of each block, from 0 to 1, shape (B,); all 1 by default.
     """
-    if optimum is None:
-        optimum = partial(_optimum, lower=products.problem.lower if bounded else None)
     if share is None or share.min() == 1.0:
         sums = products.folds
     else:
         sums = products.weighted(share)
+    if optimum is None:
+        lower = products.problem.lower if bounded else None
+        optimum = partial(_optimum, lower=lower, prior=prior)
     A, b = products.normal(weight, sums.sum(axis=0) - sums)
-    if prior is not None:
-        A, b = A + prior.precision, b + prior.pull
     return np.array([optimum(*x) for x in zip(A, b, strict=True)])
 
 
-def _step(
-    products: CrossProducts,
-    weight: Array,
-    share: Array,
-    bounded: bool,
-    prior: Prior | None,
-) -> Array:
-    A, b = products.normal(weight, products.weighted_total(share))
+def _optimum(A: Array, b: Array, lower: Array | None, prior: Prior | None) -> Array:
     if prior is not None:
         A, b = A + prior.precision, b + prior.pull
-    return _optimum(A, b, products.problem.lower if bounded else None)
-
-
-def _optimum(A: Array, b: Array, lower: Array | None) -> Array:
     return pseudo_solve(A, b) if lower is None else _bounded_solve(A, b, lower)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,18 +42,6 @@ class Rows:
         pairs = zip(self.links, self.gains, strict=True)
         return (0, *np.cumsum([len(x) + len(y) + 1 for x, y in pairs]).tolist())
 
-    @cached_property
-    def parts(self) -> list[tuple[slice, slice]]:
-        """Rows of links, and of effects and torque, for each joint."""
-        stops = [x + len(y) for x, y in zip(self.offsets, self.links, strict=False)]
-        ends = zip(self.offsets, stops, self.offsets[1:], strict=False)
-        return [(slice(x, y), slice(y, z)) for x, y, z in ends]
-
-    @property
-    def changes_signals(self) -> bool:
-        """Whether an effect changes the signals on which the link columns depend."""
-        return any(e.changes_signals for e in self.effects)
-
     def beside(self, others: Sequence[Effect]) -> Rows:
         """All columns of these and of other effects, also those that are dependent.
 
@@ -82,48 +71,29 @@ class Rows:
             yield from ((common, joint, effects[e], g) for e, g in self.gains[joint])
             yield common, joint
 
-    def link_columns(self, motion: Motion) -> Array:
-        """Columns of all link parameters in use, in order, shape (n, c, N)."""
-        Y = regressor(self.chain, motion.q, motion.v, motion.a, self._used)
-        return Y.transpose(1, 2, 0)
-
-    @cached_property
-    def _used(self) -> list[int]:
-        return sorted({link for links in self.links for link in links})
-
-    def along(
-        self,
-        motion: Motion,
-        links: Array | None = None,
-        body: RigidBody | None = None,
-    ) -> Array:
-        """The rows at full rate, shape (P, N).
-
-        Args:
-            motion: N samples of motion and torque.
-            links: Result of :meth:`link_columns`, if it was computed before.
-            body: The rigid body along the motion, if it was computed before.
-        """
-        tau = motion.tau
-        body = body or RigidBody(self.chain, motion, self.inertial)
+    def along(self, motion: Motion) -> Array:
+        """The rows at full rate along N samples, shape (P, N)."""
+        tau, body = motion.tau, RigidBody(self.chain, motion, self.inertial)
         for effect in self.effects:
             if effect.observes:
                 motion = effect.observe(motion, body)
                 body = RigidBody(self.chain, motion, self.inertial)
-        out = np.empty((self.offsets[-1], len(motion.t)))
-        links = self.link_columns(motion) if links is None else links
+        used = sorted({link for links in self.links for link in links})
+        Y = regressor(self.chain, motion.q, motion.v, motion.a, used)
+        links = Y.transpose(1, 2, 0)
         columns = self._effect_columns(motion, body)
-        for i, (mine, others) in enumerate(self.parts):
-            used = np.searchsorted(self._used, self.links[i])
+        out = np.empty((self.offsets[-1], len(motion.t)))
+        for i, (first, stop) in enumerate(pairwise(self.offsets)):
+            own = out[first : stop - 1]
+            count, at = len(self.links[i]), np.searchsorted(used, self.links[i])
             # mode="raise" would copy these rows twice.
-            np.take(links[i], used, axis=0, out=out[mine], mode="clip")
-            for row, (e, g) in enumerate(self.gains[i], mine.stop):
-                out[row] = columns[i, e][:, g]
-            out[others.stop - 1] = tau[:, i]
+            np.take(links[i], at, axis=0, out=own[:count], mode="clip")
+            for row, (e, g) in enumerate(self.gains[i], count):
+                own[row] = columns[i, e][:, g]
             for effect in self.effects:
                 if effect.reports and i in effect.joints:
-                    part = out[mine.start : others.stop - 1]
-                    part[...] = effect.report(motion.t, part.T).T
+                    own[...] = effect.report(motion.t, own.T).T
+            out[stop - 1] = tau[:, i]
         return out
 
     def _effect_columns(

@@ -33,7 +33,7 @@ class Scores:
         blocks: Sequence[NDArray[np.intp]],
         folds: Sequence[NDArray[np.intp]],
     ) -> Self:
-        """Sums of nothing.
+        """Sums of nothing, of joints with some numbers of rows.
 
         Args:
             sizes: Number of rows of each joint.
@@ -54,13 +54,11 @@ class Scores:
             D: Rows of all joints, shape (P, N).
             moving: Whether each joint moves; it does not count where it stands, (n, N).
         """
-        first = 0
-        for sums, moves in zip(self.sums, moving, strict=True):
-            own = D[first : first + sums.shape[1]]
-            first += len(own)
+        own = np.split(D, np.cumsum([x.shape[1] for x in self.sums])[:-1])
+        for sums, rows, moves in zip(self.sums, own, moving, strict=True):
             for start, stop in runs_of(block, moves.astype(int)):
                 if moves[start]:
-                    part = own[:, start:stop]
+                    part = rows[:, start:stop]
                     sums[block[start]] += part @ part.T
 
     def of(self, places: Sequence[NDArray[np.intp]]) -> Scores:
