@@ -410,7 +410,7 @@ def ripples(monkeypatch, accepted):
     made._record_stage = made.recorded.append
     monkeypatch.setattr(
         "hybrid.identification.identification.find_ripples",
-        lambda data, best, waves: {0: [wave]},
+        lambda data, best: {0: [wave]},
     )
     Identification.ripple_stage(made)
     return made

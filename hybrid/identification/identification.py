@@ -31,7 +31,7 @@ from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import with_accepted
 from hybrid.identification.preparation import linear_effects
 from hybrid.identification.remainder import Learned, fit_remainder
-from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
+from hybrid.identification.ripple import JUDGED, find_ripples, in_band
 from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
@@ -122,9 +122,9 @@ class Identification:
 
     def ripple_stage(self) -> None:
         """Fit torque ripple, which repeats with position."""
-        before, waves = self.best, Waves()
+        before = self.best
         for _ in range(_MOST_ROUNDS):
-            new = find_ripples(self.data, self.best, waves)
+            new = find_ripples(self.data, self.best)
             # At all speeds of the log, or only at speeds whose ripple is below the
             # cut-off.
             limit = partial(in_band, cutoff=self.data.cutoff)

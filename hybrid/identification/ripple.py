@@ -37,15 +37,9 @@ _BLOCK_SECONDS = 1.0  # distance at which samples count as independent
 _MOST_SECONDS = 120.0  # of data to search; gains are then fitted to all data
 
 
-# (motion, joint, periods) -> filtered sine and cosine of a ripple, shape (2, M).
-Waves = dict[tuple[int, int, int], Array]
-
-
-def find_ripples(
-    data: Data, solution: Solution, waves: Waves
-) -> dict[int, list[Effect]]:
+def find_ripples(data: Data, solution: Solution) -> dict[int, list[Effect]]:
     """Ripples of each joint that lower its held-out error, strongest first."""
-    pieces = enumerate(_pieces(data, solution, waves))
+    pieces = enumerate(_pieces(data, solution))
     found = {j: _ripples(j, own, solution, data.cutoff) for j, own in pieces}
     return {j: ripples for j, ripples in found.items() if ripples}
 
@@ -91,7 +85,6 @@ class _Piece:
     """Moving samples of a joint in one motion.
 
     Attributes:
-        number: Index of the motion.
         motion: The motion.
         joint: The joint.
         sampler: Filter and decimation.
@@ -99,10 +92,8 @@ class _Piece:
         rows: Columns of the joint, then the residual of the solution, (d + 1, M).
         fold: Fold of each sample, shape (M,).
         block: Block in time of each sample, shape (M,).
-        cache: Filtered columns computed before.
     """
 
-    number: int
     motion: Motion
     joint: int
     sampler: Sampler
@@ -110,7 +101,6 @@ class _Piece:
     rows: Array
     fold: NDArray[np.intp]
     block: NDArray[np.intp]
-    cache: Waves
 
     @property
     def q(self) -> Array:
@@ -126,13 +116,8 @@ class _Piece:
         """Filtered sine and cosine of K ripples, shape (K, 2, M)."""
         zero = np.zeros_like(self.q)
         state = JointState(zero, self.q, self.v, zero, zero, zero)
-        keys = [(self.number, self.joint, int(x.values["periods"])) for x in ripples]
-        new = {k: x for k, x in zip(keys, ripples, strict=True) if k not in self.cache}
-        if new:
-            pairs = [TorqueRipple.law(state, **x.shape_values) for x in new.values()]
-            made = self.sampler(np.array(pairs), axis=2)[:, :, self.use]
-            self.cache.update(zip(new, made, strict=True))
-        return np.stack([self.cache[k] for k in keys])
+        pairs = [TorqueRipple.law(state, **x.shape_values) for x in ripples]
+        return self.sampler(np.array(pairs), axis=2)[:, :, self.use]
 
     def refiltered(self, residual: Array) -> Array:
         """A residual at the rate of the motion, filtered again, shape (N,)."""
@@ -142,37 +127,27 @@ class _Piece:
         return replace(self.sampler, factor=1)(full)
 
 
-def _pieces(data: Data, solution: Solution, waves: Waves) -> list[list[_Piece]]:
+def _pieces(data: Data, solution: Solution) -> list[list[_Piece]]:
     """The moving samples of every motion, for each joint."""
     problem, theta = solution.problem, solution.weighted.theta
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
     found: list[list[_Piece]] = [[] for _ in range(problem.chain.size)]
-    for r, (motion, fold) in enumerate(zip(data.motions, data.folds, strict=True)):
+    for motion, fold in zip(data.motions, data.folds, strict=True):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
-        total = int(min(1.0, share) * len(motion.t))
-        short, few = part(motion, slice(0, total)), slice(0, total, sampler.factor)
+        short = part(motion, slice(0, int(min(1.0, share) * len(motion.t))))
         chunks = chunks_along(problem.rows, short, sampler)
         whole = np.concatenate([D for _, D, _ in chunks], axis=1)
-        block = ((motion.t[few] - motion.t[0]) // _BLOCK_SECONDS).astype(int)
-        moves = data.moves(motion)[few]
-        for joint, own in enumerate(found):
+        block = ((sampler.keep(short.t) - motion.t[0]) // _BLOCK_SECONDS).astype(int)
+        kept, moves = (
+            sampler.keep(fold[: len(short.t)]),
+            sampler.keep(data.moves(short)),
+        )
+        parts = np.split(whole, problem.rows.offsets[1:-1])
+        for joint, (own, every) in enumerate(zip(found, parts, strict=True)):
             use = moves[:, joint]
-            first, stop = problem.rows.offsets[joint : joint + 2]
-            rows = whole[first:stop, use]
+            rows = every[:, use]
             rows[-1] -= theta[problem.support[joint]] @ rows[:-1]
-            own.append(
-                _Piece(
-                    r,
-                    short,
-                    joint,
-                    sampler,
-                    use,
-                    rows,
-                    fold[few][use],
-                    block[use],
-                    waves,
-                )  # fmt: skip
-            )
+            own.append(_Piece(short, joint, sampler, use, rows, kept[use], block[use]))
     return found
 
 
