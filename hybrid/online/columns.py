@@ -1,9 +1,8 @@
-"""Regression columns of rigid body and effects at some instants, in small tasks."""
+"""Regression columns of rigid body and effects at some instants, in small steps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -17,13 +16,11 @@ from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-_TOGETHER = 2  # instants in a rigid-body task, which then takes as long as the others
+_TOGETHER = 2  # instants in a rigid-body step, which then takes as long as the others
 
 
 class InstantColumns:
     """Derivatives of the torque by all unknowns at B instants.
-
-    After :meth:`begin`, each task writes its part of ``rows``, shape (B, P).
 
     Raises:
         IdentificationError: An effect changes signals instead of adding torque.
@@ -36,20 +33,28 @@ class InstantColumns:
         self.rows = np.zeros((instants, len(layout.joints)))
         self._find_rigid(robot)
         self._laws = InstantLaws(_indexed(problem), layout)
-        self.tasks: list[Callable[[], None]] = [
-            *(partial(self._fill_rigid, k) for k in range(0, instants, _TOGETHER)),
-            *(partial(self._fill_laws, k) for k in range(instants)),
-            *([self._fill_others] if self._laws.others else []),
-        ]
 
-    def begin(self, states: tuple[Array, Array, Array, Array], theta: Array) -> None:
-        """Set the instants that the tasks work on.
+    def fill(
+        self, states: tuple[Array, Array, Array, Array], theta: Array
+    ) -> Iterator[None]:
+        """Write the derivatives to ``rows``, shape (B, P), in steps.
 
         Args:
             states: Time (B,), [s], position (B, n), [rad], speed and acceleration.
             theta: Unknowns that give shapes and load, shape (d,).
         """
-        self._states, self._theta = states, theta
+        for k, row in enumerate(self.rows):
+            row[self._targets] = self._regressor(*(x[k] for x in states[1:]))
+            if k % _TOGETHER == _TOGETHER - 1 or k == len(self.rows) - 1:
+                yield
+        laws = self._laws
+        for row, *state in zip(self.rows, *states, strict=True):
+            load = (row[self._inertial] * theta[self._base]) @ self._of_joint
+            row[laws.places] = laws(*state, load, theta)
+            yield
+        if laws.others:
+            self._fill_others(states, theta)
+            yield
 
     def _find_rigid(self, robot: Robot) -> None:
         """Find the regressor entries that are needed, and their places in a row."""
@@ -64,30 +69,20 @@ class InstantColumns:
         self._regressor = SampleRegressor(robot, entries)
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
-    def _fill_rigid(self, first: int) -> None:
-        """Write the rigid body at some instants, beginning with one."""
-        together = slice(first, first + _TOGETHER)
-        _, *motion = (x[together] for x in self._states)
-        for row, *state in zip(self.rows[together], *motion, strict=True):
-            row[self._targets] = self._regressor(*state)
-
-    def _fill_laws(self, k: int) -> None:
-        """Write the laws of single joints at one instant."""
-        (t, q, v, a), theta = (x[k] for x in self._states), self._theta
-        row, laws = self.rows[k], self._laws
-        load = (row[self._inertial] * theta[self._base]) @ self._of_joint
-        row[laws.places] = laws(t, q, v, a, load, theta)
-
-    def _fill_others(self) -> None:
+    def _fill_others(
+        self, states: tuple[Array, Array, Array, Array], theta: Array
+    ) -> None:
         """Write the effects that depend on several joints; slower."""
-        t, q, v, a = self._states
-        motion = Motion(t, q, v, a, 0 * q, np.ones(len(t), dtype=bool))
+        t, q, *_ = states
+        motion = Motion(*states, 0 * q, np.ones(len(t), dtype=bool))
         body = RigidBody(self._problem.chain, motion, self._problem.inertial)
         for own in self._laws.others:
-            self._fill_other(own, motion, body)
+            self._fill_other(own, motion, body, theta)
 
-    def _fill_other(self, own: IndexedEffect, motion: Motion, body: RigidBody) -> None:
-        theta, joints = self._theta, own.effect.reaches(motion.q.shape[1])
+    def _fill_other(
+        self, own: IndexedEffect, motion: Motion, body: RigidBody, theta: Array
+    ) -> None:
+        joints = own.effect.reaches(motion.q.shape[1])
         names = [s.name for s in own.effect.shapes]
         values = theta[own.shapes].tolist()
         here = own.effect.at(dict(zip(names, values, strict=True)))

@@ -4,16 +4,16 @@ Source: Ljung and Söderström 1983, "Theory and Practice of Recursive Identific
 (extended least squares); see also ``square_root.py`` and ``payload_change.py``.
 
 Samples are processed in blocks. While a block fills, each call does a part of the work
-of the previous block, so no call takes long: about ten microseconds a task, and a few
+of the previous block, so no call takes long: about ten microseconds a step, and a few
 tenths of a millisecond for the call that detects a payload. At low rates a block has a
 few samples, and without a cut-off one, so a call does more of the work.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice
 
 import numpy as np
 
@@ -116,6 +116,7 @@ class OnlineIdentifier:
         self._payload_sizes = payload_sizes(_PAYLOAD)
         self._estimate = OnlineEstimate(
             SquareRootFilter(start.theta, start.root),
+            self._layout,
             bounds=start.bounds(),
             gains=problem.size,
             payload=start.payload_directions(self._payload_sizes),
@@ -124,9 +125,12 @@ class OnlineIdentifier:
             forgetting=1.0 - min(0.5, size / robot.size / (memory * updates)),
             mixing=_SETTLING / cutoff,
         )
-        self._started, self._phase = False, self._block
-        self._intake: Intake
+        self._intake: Intake | None = None
         self._pipeline: Pipeline
+        # The work on the last block: calls and steps that it took, and steps of the
+        # longest block up to now.
+        self._work: Iterator[None] = iter(())
+        self._calls, self._done, self._steps = self._block, 0, self._block
         self._change: Change | None = None
         self.changes: list[Change] = []
 
@@ -157,7 +161,7 @@ class OnlineIdentifier:
     @property
     def health(self) -> Health:
         """Counts of accepted and rejected samples, and their rate."""
-        return self._intake.health if self._started else Health(stated_rate=self.rate)
+        return self._intake.health if self._intake else Health(stated_rate=self.rate)
 
     @property
     def error(self) -> Array:
@@ -231,21 +235,31 @@ class OnlineIdentifier:
             IdentificationError: A sample has the wrong shape, or lacks the speed and
                 acceleration that it needs.
         """
-        if not self._started:
-            self._start(sample)
+        if self._intake is None:
+            self._intake = self._start(sample)
         block = self._intake.take(sample)
         if block is not None:
-            self._pipeline.begin(block, self._estimate.filter.mean)
-            self._phase = 0
+            self._work = self._learn(block, self._intake)
+            self._calls = self._done = 0
         self._change = None
-        if self._phase < self._block:
-            for task in self._tasks[self._phase]:
-                task()
-            self._phase += 1
+        if self._calls < self._block:
+            self._calls += 1
+            last = self._calls == self._block
+            due = self._calls * self._steps // self._block - self._done
+            self._done += sum(1 for _ in islice(self._work, None if last else due))
+            self._steps = max(self._steps, self._done)
         return self._change
 
-    def _start(self, sample: Sample) -> None:
-        """Build intake and pipeline for the signals that the first sample has."""
+    def _learn(self, block: Array, intake: Intake) -> Iterator[None]:
+        """Update with a block of samples, in steps that take about as long each."""
+        row = yield from self._pipeline.row(block, self._estimate.filter.mean)
+        found = yield from self._estimate.learn(row, float(block[-1, 0]))
+        if found is not None:
+            self._change = Change(intake.now, found)
+            self.changes.append(self._change)
+
+    def _start(self, sample: Sample) -> Intake:
+        """Intake and pipeline for the signals that the first sample has."""
         if sample.v is not None and sample.a is not None:
             self._differentiator = None
         elif self._differentiator is None:
@@ -254,15 +268,6 @@ class OnlineIdentifier:
             )
         differentiator = self._differentiator
         scales = joint_scales(self.robot)
-        self._intake = Intake(
-            self.robot.size,
-            rate=self.rate,
-            window=differentiator.span if differentiator else 0.0,
-            speed=_IMPLAUSIBLE * sum(s.speed for s in scales),
-            torque=_IMPLAUSIBLE * sum(s.torque for s in scales),
-            before=2 * differentiator.margin if differentiator else 0,
-            block=self._block,
-        )
         self._pipeline = Pipeline(
             self._columns,
             self._layout,
@@ -271,20 +276,12 @@ class OnlineIdentifier:
             low_pass=self._low_pass,
             standing=self._standing,
         )
-        estimate = self._estimate
-        tasks = [
-            *self._pipeline.tasks,
-            lambda: estimate.compute_errors(self._pipeline.row, self._layout),
-            lambda: estimate.predict_spread(self._pipeline.time),
-            self._detect_change,
-            *estimate.tasks,
-        ]
-        ends = [k * len(tasks) // self._block for k in range(self._block + 1)]
-        self._tasks = [tasks[start:end] for start, end in pairwise(ends)]
-        self._started = True
-
-    def _detect_change(self) -> None:
-        found = self._estimate.detect_change(self._pipeline.time)
-        if found is not None:
-            self._change = Change(self._intake.now, found)
-            self.changes.append(self._change)
+        return Intake(
+            self.robot.size,
+            rate=self.rate,
+            window=differentiator.span if differentiator else 0.0,
+            speed=_IMPLAUSIBLE * sum(s.speed for s in scales),
+            torque=_IMPLAUSIBLE * sum(s.torque for s in scales),
+            before=2 * differentiator.margin if differentiator else 0,
+            block=self._block,
+        )
