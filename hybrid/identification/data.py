@@ -77,14 +77,14 @@ class Data:
         return self._last[0].of(problem)
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
-        """Residual of each sample by the solution without its fold.
+        """Residual of each sample by the solution without its fold, unfiltered.
 
         Args:
             problem: The linear problem.
             theta: Solutions without each fold, shape (F, p).
 
         Returns:
-            Unfiltered torque, shape (N, n) for each motion, [N·m].
+            Torque, shape (N, n) for each motion, [N·m].
         """
         found = []
         for motion, fold in zip(self.motions, self.folds, strict=True):
@@ -133,9 +133,8 @@ class Data:
     def scales(self) -> list[Scale]:
         """Highest torque and speed of every joint in the data."""
         each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
-        torque = np.max(each, axis=0)
-        pairs = zip(torque, self.visited["v_max"], strict=True)
-        return [Scale(max(float(x), 1e-12), max(float(y), 1e-12)) for x, y in pairs]
+        highest = np.maximum([np.max(each, axis=0), self.visited["v_max"]], 1e-12)
+        return [Scale(*x) for x in highest.T.tolist()]
 
     @cached_property
     def visited(self) -> dict[str, Array]:
@@ -154,19 +153,13 @@ class Data:
         return np.asarray(moves & motion.mask[:, None])
 
     def decimated(self, residual: Sequence[Array]) -> Residual:
-        """A residual filtered and decimated, all motions concatenated.
-
-        Args:
-            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
-        """
+        """A residual (N, n) of each motion, [N·m], filtered, decimated and joined."""
         parts = []
         for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
             sampler = Sampler.for_rate(motion.rate, self.cutoff)
             few = slice(None, None, sampler.factor)
-            moves = self.moves(motion)
-            parts.append(
-                (motion.q[few], motion.v[few], sampler(tau), moves[few], fold[few])
-            )
+            moves = self.moves(motion)[few]
+            parts.append((motion.q[few], motion.v[few], sampler(tau), moves, fold[few]))
         return Residual(*(np.concatenate(x) for x in zip(*parts, strict=True)))
 
 

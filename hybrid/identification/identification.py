@@ -310,7 +310,7 @@ class Identification:
             return self.solver.with_effects(start, effects, others=offered)
 
         found = with_accepted(start, options, fitted, tried=tried)
-        return min(start, found, key=lambda x: self.solver.cost(x.squares))
+        return self.solver.least([start, found])
 
     def _with_candidates(
         self, start: Solution, at: Mapping[int, list[Effect]]

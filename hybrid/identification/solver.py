@@ -11,7 +11,8 @@ rule of one standard error).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -56,10 +57,8 @@ class Solver:
         The better of the first two at each joint becomes the reference of
         :meth:`cost`.
         """
-        data, products = self._data, self._data.products(problem)
-        found = {
-            x: self._solution(data, products, x, bounded=False) for x in ESTIMATORS
-        }
+        solution = partial(self._solution, self._data, self._data.products(problem))
+        found = {x: solution(x, bounded=False) for x in ESTIMATORS}
         ls, wls = (found[x].squares for x in ESTIMATORS[:2])
         self.reference = np.where(self.total(ls) < self.total(wls), ls, wls)
         return found
@@ -136,7 +135,7 @@ class Solver:
             near: A strength whose neighbours alone are tried; all by default.
         """
         data = self._data.minus(known)
-        products = data.products(problem, others)
+        solution = partial(self._solution, data, data.products(problem, others))
         file = file_prior(problem, self._robot, self._data.scales)
         tried: Sequence[float] = _STRENGTHS if file is not None else (0.0,)
         if near is not None:
@@ -144,18 +143,9 @@ class Solver:
             tried = tried[max(at - 1, 0) : at + 2]
         # First choose the strength with weighted least squares, then the estimator.
         middle = self._estimators[min(1, len(self._estimators) - 1)]
-        best = min(
-            (self._solution(data, products, middle, file, x) for x in tried),
-            key=lambda x: self.cost(x.squares),
-        )
+        best = self.least(solution(middle, file, x) for x in tried)
         last = [x for x in self._estimators if x != middle]
-        return min(
-            [
-                best,
-                *(self._solution(data, products, x, file, best.strength) for x in last),
-            ],
-            key=lambda x: self.cost(x.squares),
-        )
+        return self.least([best, *(solution(x, file, best.strength) for x in last)])
 
     def _solution(
         self,
@@ -172,14 +162,14 @@ class Solver:
             products, estimator, bounded=bounded, robust=self._robust, prior=prior
         )
         theta = without_folds(
-            products,
-            found.weight,
-            bounded=bounded,
-            prior=prior,
-            share=found.share,
+            products, found.weight, bounded=bounded, prior=prior, share=found.share
         )
         squares = products.held_out_squares(theta)
         return Solution(data, products, found, prior, theta, squares, strength)
+
+    def least(self, solutions: Iterable[Solution]) -> Solution:
+        """The first solution of least cost."""
+        return min(solutions, key=lambda x: self.cost(x.squares))
 
     def cost(self, squares: Array, harm: float = _HARM) -> float:
         """Mean log of the held-out RMS over plain LS, with a penalty on each rise."""
