@@ -113,8 +113,7 @@ def experiment(problem, seed, *, samples=600, noise=0.0):
 def crossed(problem, motion):
     """Cross-products of all samples of a motion."""
     standing = np.full(problem.chain.size, -1.0)
-    sums = accumulate(problem.rows, [motion], cutoff=np.inf, standing=standing)
-    return sums.of(problem)
+    return accumulate(problem, [motion], cutoff=np.inf, standing=standing)
 
 
 def rms(products, theta):

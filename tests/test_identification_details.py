@@ -261,7 +261,7 @@ def test_cross_products_are_in_a_hundred_blocks_at_most(seconds):
     robot = pendulum()
     motions = [with_torque(m, ()) for m in swings(count=2, seconds=seconds)]
     products = accumulate(
-        build_problem(robot.chain, []).rows, motions, cutoff=10.0, standing=np.zeros(1)
+        build_problem(robot.chain, []), motions, cutoff=10.0, standing=np.zeros(1)
     )
     assert 10 <= len(products.blocks) <= 100
     assert len(products.blocks) > 60 or seconds < 100.0

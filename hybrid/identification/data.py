@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.effects import Effect, Scale
+from hybrid.effects import Scale
 from hybrid.errors import RecordingError
-from hybrid.regression.cross_products import (
-    CrossProducts,
-    Sums,
-    accumulate,
-    chunks_along,
-)
+from hybrid.regression.cross_products import CrossProducts, accumulate, chunks_along
 from hybrid.regression.problem import Problem
 from hybrid.signals import Motion, Sampler
 
@@ -42,7 +37,6 @@ class Data:
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
-    _last: list[Sums] = field(default_factory=list, repr=False, init=False)
 
     def __post_init__(self) -> None:
         check_torque(self.motions)
@@ -54,27 +48,16 @@ class Data:
         pairs = zip(self.motions, known, strict=True)
         return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
 
-    def products(
-        self, problem: Problem, others: Sequence[Effect] = ()
-    ) -> CrossProducts:
-        """Cross-products of a problem on these motions; see :func:`accumulate`.
-
-        Args:
-            problem: The unknowns.
-            others: Effects that a later problem may have; its sums are then there.
-        """
-        if not (self._last and self._last[0].cover(problem)):
-            self._last[:] = [
-                accumulate(
-                    problem.rows.beside((*problem.effects, *others)),
-                    self.motions,
-                    cutoff=self.cutoff,
-                    standing=self.standing,
-                    folds=self.folds,
-                    blocks=self.blocks,
-                )
-            ]
-        return self._last[0].of(problem)
+    def products(self, problem: Problem) -> CrossProducts:
+        """Cross-products of a problem on these motions; see :func:`accumulate`."""
+        return accumulate(
+            problem,
+            self.motions,
+            cutoff=self.cutoff,
+            standing=self.standing,
+            folds=self.folds,
+            blocks=self.blocks,
+        )
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
         """Residual of each sample by the solution without its fold, unfiltered.
@@ -90,10 +73,10 @@ class Data:
         for motion, fold in zip(self.motions, self.folds, strict=True):
             residual = np.empty_like(motion.tau)
             sampler = Sampler.for_rate(motion.rate, self.cutoff)
-            for first, _, D in chunks_along(problem.rows, motion, sampler):
+            for first, _, D in chunks_along(problem, motion, sampler):
                 start = first * sampler.factor
                 here = slice(start, start + D.shape[1])
-                parts = np.split(D, problem.rows.offsets[1:-1])
+                parts = np.split(D, problem.offsets[1:-1])
                 for i, own in enumerate(parts):
                     known = theta[:, problem.support[i]] @ own[:-1]
                     known = np.take_along_axis(known, fold[None, here], axis=0)[0]

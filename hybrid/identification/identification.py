@@ -303,11 +303,10 @@ class Identification:
         tried: int = 1,
     ) -> Solution:
         """The start with the terms that pass the gate, unless it is better without."""
-        offered = [e for at in options for effects in at.values() for e in effects]
 
         def fitted(at: Mapping[int, list[Effect]]) -> Solution:
             effects = self._with_candidates(start, at)
-            return self.solver.with_effects(start, effects, others=offered)
+            return self.solver.with_effects(start, effects)
 
         found = with_accepted(start, options, fitted, tried=tried)
         return self.solver.least([start, found])

@@ -135,14 +135,14 @@ def _pieces(data: Data, solution: Solution) -> list[list[_Piece]]:
     for motion, fold in zip(data.motions, data.folds, strict=True):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         short = part(motion, slice(0, int(min(1.0, share) * len(motion.t))))
-        chunks = chunks_along(problem.rows, short, sampler)
+        chunks = chunks_along(problem, short, sampler)
         whole = np.concatenate([D for _, D, _ in chunks], axis=1)
         block = ((sampler.keep(short.t) - motion.t[0]) // _BLOCK_SECONDS).astype(int)
         kept, moves = (
             sampler.keep(fold[: len(short.t)]),
             sampler.keep(data.moves(short)),
         )
-        parts = np.split(whole, problem.rows.offsets[1:-1])
+        parts = np.split(whole, problem.offsets[1:-1])
         for joint, (own, every) in enumerate(zip(found, parts, strict=True)):
             use = moves[:, joint]
             rows = every[:, use]

@@ -92,7 +92,6 @@ class Solver:
         start: Solution,
         effects: Sequence[Effect],
         known: Sequence[Array] | None = None,
-        others: Sequence[Effect] = (),
     ) -> Solution:
         """The best solution with other effects.
 
@@ -100,7 +99,6 @@ class Solver:
             start: Solution whose links give the transmitted torque.
             effects: Effects; their shapes are fixed.
             known: Torque to subtract first, shape (N, n) for each motion, [N·m].
-            others: Effects that a later call from this start may have.
         """
         # Gains that the friction fit has set to zero stay zero, because the columns of
         # falling and rising friction are collinear.
@@ -116,14 +114,12 @@ class Solver:
             inertial=start.problem.rigid_inertial(start.weighted.theta),
             without=without,
         )
-        others = (*start.problem.effects, *with_zero_gains(others))
-        return self.best(problem, known, others, start.strength)
+        return self.best(problem, known, start.strength)
 
     def best(
         self,
         problem: Problem,
         known: Sequence[Array] | None = None,
-        others: Sequence[Effect] = (),
         near: float | None = None,
     ) -> Solution:
         """The solution of least cost over estimators and strengths of the prior.
@@ -131,11 +127,10 @@ class Solver:
         Args:
             problem: The unknowns.
             known: Torque to subtract first, shape (N, n) for each motion, [N·m].
-            others: Effects that a later problem may have.
             near: A strength whose neighbours alone are tried; all by default.
         """
         data = self._data.minus(known)
-        solution = partial(self._solution, data, data.products(problem, others))
+        solution = partial(self._solution, data, data.products(problem))
         file = file_prior(problem, self._robot, self._data.scales)
         tried: Sequence[float] = _STRENGTHS if file is not None else (0.0,)
         if near is not None:

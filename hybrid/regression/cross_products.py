@@ -6,7 +6,7 @@ errors need no samples after that, so memory does not grow with the length of th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem, part
-from hybrid.regression.rows import Rows
 from hybrid.regression.scores import Scores, runs_of
 from hybrid.signals import Motion, Sampler
 
@@ -31,11 +30,11 @@ Chunks = Iterator[tuple[int, Array, Array]]
 
 
 @dataclass(frozen=True)
-class Sums:
-    """Sums over the samples of each block in time.
+class CrossProducts:
+    """Sums of the rows of a problem over the samples of each block in time.
 
     Attributes:
-        rows: Columns and torque of every joint.
+        problem: The unknowns.
         blocks: Rows times rows transposed, summed over each block, shape (B, P, P).
         counts: Samples of each block in which both joints moved, shape (B, n, n).
         recording: Index of the recording of each block, shape (B,).
@@ -43,31 +42,12 @@ class Sums:
         scores: Sums of unfiltered rows, for held-out errors.
     """
 
-    rows: Rows
+    problem: Problem
     blocks: Array
     counts: Array
     recording: NDArray[np.intp]
     fold: NDArray[np.intp]
     scores: Scores | None
-
-    def cover(self, problem: Problem) -> bool:
-        """Whether they hold all rows of a problem."""
-        return self.rows.places(problem.rows) is not None
-
-    def of(self, problem: Problem) -> CrossProducts:
-        """Those of a problem whose rows they hold."""
-        places = self.rows.places(problem.rows)
-        assert places is not None
-        own = places - np.repeat(self.rows.offsets[:-1], np.diff(problem.rows.offsets))
-        return CrossProducts(
-            problem.rows,
-            self.blocks[:, places[:, None], places],
-            self.counts,
-            self.recording,
-            self.fold,
-            self.scores and self.scores.of(np.split(own, problem.rows.offsets[1:-1])),
-            problem,
-        )
 
     @cached_property
     def total(self) -> Array:
@@ -91,17 +71,6 @@ class Sums:
             return self.total
         return np.asarray(np.tensordot(share, self.blocks, axes=1))
 
-
-@dataclass(frozen=True)
-class CrossProducts(Sums):
-    """Those of a problem.
-
-    Attributes:
-        problem: The unknowns.
-    """
-
-    problem: Problem
-
     @property
     def samples(self) -> int:
         """Number of samples of the joint that moved most."""
@@ -121,7 +90,7 @@ class CrossProducts(Sums):
         problem, many = self.problem, sums.shape[:-2]
         A = np.zeros((*many, problem.size, problem.size))
         b = np.zeros((*many, problem.size))
-        parts = [slice(x, y) for x, y in pairwise(self.rows.offsets)]
+        parts = [slice(x, y) for x, y in pairwise(self.problem.offsets)]
         for i, k in zip(*np.nonzero(weight), strict=True):
             left, right = problem.support[i], problem.support[k]
             own = weight[i, k] * sums[..., parts[i], parts[k]]
@@ -136,9 +105,9 @@ class CrossProducts(Sums):
             theta: Unknowns, shape (p,).
             sums: Cross-products to use, shape (..., P, P); all blocks by default.
         """
-        C = np.zeros((self.rows.offsets[-1], len(self.problem.support)))
+        C = np.zeros((self.problem.offsets[-1], len(self.problem.support)))
         for i, support in enumerate(self.problem.support):
-            own = slice(*self.rows.offsets[i : i + 2])
+            own = slice(*self.problem.offsets[i : i + 2])
             C[own, i] = [*-theta[support], 1.0]
         return np.asarray(C.T @ (self.total if sums is None else sums) @ C)
 
@@ -153,21 +122,21 @@ class CrossProducts(Sums):
 
 
 def accumulate(
-    rows: Rows,
+    problem: Problem,
     motions: Sequence[Motion],
     *,
     cutoff: float,
     standing: Array,
     folds: Sequence[NDArray[np.intp]] | None = None,
     blocks: Sequence[NDArray[np.intp]] | None = None,
-) -> Sums:
+) -> CrossProducts:
     """Sums of products of rows along motions, columns and torque filtered identically.
 
     The rows of a joint are left out while it stands still: any friction below the
     break-away torque may hold it then, so its torque tells nothing.
 
     Args:
-        rows: Columns and torque of every joint.
+        problem: The unknowns.
         motions: Motions at full rate.
         cutoff: Cut-off of the filter of columns and torque, [Hz]; inf for none.
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
@@ -183,7 +152,7 @@ def accumulate(
     """
     seconds = sum(m.t[-1] - m.t[0] for m in motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
-    sizes = np.diff(rows.offsets).tolist()
+    sizes = np.diff(problem.offsets).tolist()
     scores = Scores.empty(sizes, blocks, folds) if blocks and folds else None
     # Products and counts by recording, block and fold.
     found: dict[tuple[int, int, int], tuple[Array, Array]] = {}
@@ -192,7 +161,7 @@ def accumulate(
         length = max(1, round(block_seconds * motion.rate / sampler.factor))
         fold = folds[r] if folds else np.zeros(len(motion.t), dtype=np.intp)
         moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T
-        for first, D, raw in chunks_along(rows, motion, sampler):
+        for first, D, raw in chunks_along(problem, motion, sampler):
             here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
             if scores and blocks:
                 scores.add(blocks[r][here], raw, moves[:, here])
@@ -213,36 +182,24 @@ def accumulate(
     keys = sorted(found)
     recording, _, block_fold = np.array(keys).T
     products, counts = map(np.array, zip(*(found[k] for k in keys), strict=True))
-    return Sums(rows, products, counts, recording, block_fold, scores)
+    return CrossProducts(problem, products, counts, recording, block_fold, scores)
 
 
-def chunks_along(rows: Rows, motion: Motion, sampler: Sampler) -> Chunks:
-    """Rows along a motion; see :func:`sampled_chunks`."""
-    return sampled_chunks(lambda x: rows.along(part(motion, x)), len(motion.t), sampler)
-
-
-def sampled_chunks(
-    rows: Callable[[slice], Array], total: int, sampler: Sampler
-) -> Chunks:
-    """Evaluate rows at full rate, filter and decimate them, one chunk at a time.
+def chunks_along(problem: Problem, motion: Motion, sampler: Sampler) -> Chunks:
+    """Evaluate rows along a motion, filter and decimate them, one chunk at a time.
 
     Chunks overlap by the length of the filter, so the result does not depend on them.
-
-    Args:
-        rows: Function from a slice of samples to rows of shape (P, N).
-        total: Number of samples.
-        sampler: Filter and decimation.
 
     Yields:
         Index of the first decimated sample, the decimated rows, shape (P, M), and the
         rows at full rate, shape (P, samples).
     """
-    factor = sampler.factor
+    factor, total = sampler.factor, len(motion.t)
     margin = -(-max(sampler.margin, _GRADIENT_MARGIN) // factor) * factor
     chunk = max(_CHUNK, 4 * margin) // factor * factor
     for start in range(0, total, chunk):
         before, stop = max(0, start - margin), min(total, start + chunk)
-        full = rows(slice(before, min(total, stop + margin)))
+        full = problem.rows(part(motion, slice(before, min(total, stop + margin))))
         D = sampler(full, axis=1)
         skip, count = (start - before) // factor, -(-(stop - start) // factor)
         raw = full[:, start - before : stop - before]

@@ -203,7 +203,7 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
     freedom = np.maximum(1.0, counts - products.problem.size / n)
     sigma = products.residual_products(theta, sums) / freedom
     # A difference of cross-products is uncertain by their rounding errors.
-    torque = np.array(products.rows.offsets[1:]) - 1
+    torque = np.array(products.problem.offsets[1:]) - 1
     power = np.diag(sums)[torque] / np.diag(freedom)
     floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
     own = np.diag(np.clip(np.diag(sigma), 0.0, None) + floor)

@@ -61,11 +61,6 @@ class Scores:
                     part = rows[:, start:stop]
                     sums[block[start]] += part @ part.T
 
-    def of(self, places: Sequence[NDArray[np.intp]]) -> Scores:
-        """Those of some rows of each joint, by their places among its own."""
-        pairs = zip(self.sums, places, strict=True)
-        return Scores(tuple(x[:, at[:, None], at] for x, at in pairs), self.fold)
-
     def squares(self, theta: Array, support: Sequence[NDArray[np.intp]]) -> Array:
         """Squared residuals of each block by the solution without its fold, (B, n).
 
