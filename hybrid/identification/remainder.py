@@ -77,14 +77,14 @@ def fit_remainder(
         if inputs is None:
             continue
         fit = partial(_part, residual, joint, inputs, float(limits[joint]), seed)
-        predicted, components = _cross_validated(data, residual, joint, fit)
+        predicted, components = _cross_validated(data, residual, joint, inputs, fit)
         if components is None:
             continue
         corrected = [x.copy() for x in held_out]
         for x, known in zip(corrected, predicted, strict=True):
             x[:, joint] -= known
         if lowers(before, data.squares(corrected), tried=len(candidates))[joint]:
-            parts.append(fit(None, components))
+            parts.append(JointRemainder(joint, *inputs, fit(None, components)))
             for x, known in zip(cross, predicted, strict=True):
                 x[:, joint] = known
     after = data.squares([x - y for x, y in zip(held_out, cross, strict=True)])
@@ -99,15 +99,15 @@ def _best_inputs(
     y, fold = residual.tau[use, joint], residual.fold[use]
     best, chosen = (1 - _LEAST_FALL) * float(y @ y), None
     for inputs in candidates:
-        error = _ridge_error(_inputs(residual, inputs)[use], y, fold)
+        error = _ridge_error(_inputs(residual.q, residual.v, inputs)[use], y, fold)
         if error < best:
             best, chosen = error, inputs
     return chosen
 
 
-def _inputs(residual: Residual, inputs: Inputs) -> Array:
+def _inputs(q: Array, v: Array, inputs: Inputs) -> Array:
     positions, speeds = inputs
-    return np.concatenate([residual.q[:, positions], residual.v[:, speeds]], axis=1)
+    return np.concatenate([q[:, positions], v[:, speeds]], axis=1)
 
 
 def _ridge_error(x: Array, y: Array, fold: NDArray[np.intp]) -> float:
@@ -143,7 +143,8 @@ def _cross_validated(
     data: Data,
     residual: Residual,
     joint: int,
-    fit: Callable[[int, int | None], JointRemainder],
+    inputs: Inputs,
+    fit: Callable[[int, int | None], GaussianMixtureRegression],
 ) -> tuple[list[Array], int | None]:
     """Torque at each sample by a regression without its fold.
 
@@ -157,13 +158,13 @@ def _cross_validated(
         seen, held = (moving & (fold != k)).sum(), (moving & (fold == k)).sum()
         if min(seen, 4 * held) < _FEWEST_SAMPLES:
             return predicted, None
-        part = fit(k, components)
-        components = part.regression.components
+        regression = fit(k, components)
+        components = regression.components
         for x, motion, own in zip(predicted, data.motions, data.folds, strict=True):
             here = own == k
             if here.any():
-                at = part.inputs(motion.q[here], motion.v[here])
-                x[here] = part.regression.predict(at)[:, 0]
+                at = _inputs(motion.q[here], motion.v[here], inputs)
+                x[here] = regression.predict(at)[:, 0]
     return predicted, components
 
 
@@ -175,14 +176,14 @@ def _part(
     seed: int,
     left_out: int | None,
     components: int | None,
-) -> JointRemainder:
+) -> GaussianMixtureRegression:
     """Fit on all folds but one, which selects the components if they are not given."""
-    x, y = _inputs(residual, inputs), residual.tau[:, joint, None]
+    x, y = _inputs(residual.q, residual.v, inputs), residual.tau[:, joint, None]
     moving = residual.moving[:, joint]
     scoring = moving & (residual.fold == left_out)
     fitting = moving & ~scoring
     choose = components is None and bool(scoring.any())
-    regression = GaussianMixtureRegression.fit(
+    return GaussianMixtureRegression.fit(
         x[fitting],
         y[fitting],
         components=components,
@@ -192,4 +193,3 @@ def _part(
         max_samples=_MOST_SAMPLES if scoring.any() else 20_000,
         seed=seed,
     )
-    return JointRemainder(joint, *inputs, regression)

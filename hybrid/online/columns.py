@@ -48,9 +48,9 @@ class InstantColumns:
             if k % _TOGETHER == _TOGETHER - 1 or k == len(self.rows) - 1:
                 yield
         laws = self._laws
-        for row, *state in zip(self.rows, *states, strict=True):
+        for row, t, q, v, a in zip(self.rows, *states, strict=True):
             load = (row[self._inertial] * theta[self._base]) @ self._of_joint
-            row[laws.places] = laws(*state, load, theta)
+            row[laws.places] = laws(t, q, v, a, load, theta)
             yield
         if laws.others:
             self._fill_others(states, theta)

@@ -116,10 +116,8 @@ class Problem:
         reached = [list(effect.reaches(self.chain.size)) for effect in self.effects]
         out = np.empty((self.offsets[-1], len(motion.t)))
         for i, (first, stop) in enumerate(pairwise(self.offsets)):
-            own, rigid = (
-                out[first : stop - 1],
-                np.intersect1d(self.support[i], self.rigid),
-            )
+            own, support = out[first : stop - 1], self.support[i]
+            rigid = np.intersect1d(support, self.rigid)
             # mode="raise" would copy these rows twice.
             np.take(links[i], rigid, axis=0, out=own[: len(rigid)], mode="clip")
             gains = [x for x in self.gains if x[0] in support]
