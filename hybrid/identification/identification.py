@@ -36,7 +36,7 @@ from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.intervals import condition_number
-from hybrid.regression.least_squares import Estimator, without_folds
+from hybrid.regression.least_squares import Estimator
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -175,26 +175,18 @@ class Identification:
         free, before = self.best, self.squares
         self._record_stage(free, self.remainder)
 
-        def optimum(A: Array, b: Array) -> Array:
-            return physically_consistent(free.problem, A, b).theta
-
-        products, weighted = free.products, free.weighted
-        sums = products.weighted_total(weighted.share)
-        A, b = products.normal(weighted.weight, sums)
-        found = physically_consistent(free.problem, A, b)
-        theta = without_folds(
-            products,
-            weighted.weight,
-            optimum=optimum,
-            share=weighted.share,
-        )
+        problem, weighted = free.problem, free.weighted
+        products = free.products.shared(weighted.share)
+        found = physically_consistent(problem, *products.normal(weighted.weight))
+        each = zip(*products.without_folds(weighted.weight), strict=True)
+        theta = np.array([physically_consistent(problem, A, b).theta for A, b in each])
         self.settled &= found.converged
         self._adopt(
             replace(
                 free,
                 weighted=replace(weighted, theta=found.theta),
                 theta=theta,
-                squares=products.held_out_squares(theta),
+                squares=free.products.held_out_squares(theta),
                 inertial=found.inertial,
             )
         )

@@ -7,7 +7,7 @@ errors need no samples after that, so memory does not grow with the length of th
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -57,19 +57,16 @@ class CrossProducts:
     @cached_property
     def folds(self) -> Array:
         """Sums over the blocks of each fold, shape (F, P, P)."""
-        return self.weighted(np.ones(len(self.fold)))
-
-    def weighted(self, share: Array) -> Array:
-        """Sums over the blocks of each fold, each with a weight, shape (F, P, P)."""
         last = max(x.fold.max() for x in (self, self.scores) if x)
         member = np.arange(last + 1)[:, None] == self.fold
-        return np.asarray(np.tensordot(member * share, self.blocks, axes=1))
+        return np.asarray(np.tensordot(1.0 * member, self.blocks, axes=1))
 
-    def weighted_total(self, share: Array) -> Array:
-        """Sum over all blocks, each with a weight, shape (P, P)."""
+    def shared(self, share: Array) -> CrossProducts:
+        """The same with a weight of each block, shape (B,)."""
         if share.min() == 1.0:
-            return self.total
-        return np.asarray(np.tensordot(share, self.blocks, axes=1))
+            return self
+        each = share[:, None, None]
+        return replace(self, blocks=each * self.blocks, counts=each * self.counts)
 
     @property
     def samples(self) -> int:
@@ -97,6 +94,10 @@ class CrossProducts:
             A[..., left[:, None], right] += own[..., :-1, :-1]
             b[..., left] += own[..., :-1, -1]
         return A, b
+
+    def without_folds(self, weight: Array) -> tuple[Array, Array]:
+        """Normal equations without each fold, shapes (F, p, p) and (F, p)."""
+        return self.normal(weight, self.folds.sum(axis=0) - self.folds)
 
     def residual_products(self, theta: Array, sums: Array | None = None) -> Array:
         """Sum of products of residuals across joints, shape (..., n, n), [N²·m²].

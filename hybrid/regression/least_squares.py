@@ -6,9 +6,7 @@ equations).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -72,7 +70,7 @@ def solve_weighted(
     lower = products.problem.lower if bounded else None
 
     def solution(weight: Array, share: Array, prior: Prior | None) -> Array:
-        A, b = products.normal(weight, products.weighted_total(share))
+        A, b = products.shared(share).normal(weight)
         return _optimum(A, b, lower, prior)
 
     weight: Array = np.eye(n)
@@ -101,7 +99,6 @@ def without_folds(
     *,
     bounded: bool = False,
     prior: Prior | None = None,
-    optimum: Callable[[Array, Array], Array] | None = None,
     share: Array | None = None,
 ) -> Array:
     """Solutions that each leave one fold out, at given weights, shape (F, p).
@@ -111,19 +108,13 @@ def without_folds(
         weight: Weight across joints, shape (n, n).
         bounded: Keep physically non-negative gains at or above zero.
         prior: Prior of the unknowns.
-        optimum: Function from a normal matrix and its right side to the unknowns, shape
-            (p,); plain or bounded least squares by default.
         share: Weight of each block, from 0 to 1, shape (B,); all 1 by default.
     """
-    if share is None or share.min() == 1.0:
-        sums = products.folds
-    else:
-        sums = products.weighted(share)
-    if optimum is None:
-        lower = products.problem.lower if bounded else None
-        optimum = partial(_optimum, lower=lower, prior=prior)
-    A, b = products.normal(weight, sums.sum(axis=0) - sums)
-    return np.array([optimum(*x) for x in zip(A, b, strict=True)])
+    if share is not None:
+        products = products.shared(share)
+    lower = products.problem.lower if bounded else None
+    each = zip(*products.without_folds(weight), strict=True)
+    return np.array([_optimum(A, b, lower, prior) for A, b in each])
 
 
 def _optimum(A: Array, b: Array, lower: Array | None, prior: Prior | None) -> Array:
@@ -197,14 +188,14 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
 
     Source: Gelman et al. 2013, "Bayesian Data Analysis", section 3.6.
     """
-    sums, blocks = products.weighted_total(share), share.sum()
+    products, blocks = products.shared(share), share.sum()
     n = len(products.problem.support)
-    counts = np.tensordot(share, products.counts, axes=1)
+    counts = products.counts.sum(axis=0)
     freedom = np.maximum(1.0, counts - products.problem.size / n)
-    sigma = products.residual_products(theta, sums) / freedom
+    sigma = products.residual_products(theta) / freedom
     # A difference of cross-products is uncertain by their rounding errors.
     torque = np.array(products.problem.offsets[1:]) - 1
-    power = np.diag(sums)[torque] / np.diag(freedom)
+    power = np.diag(products.total)[torque] / np.diag(freedom)
     floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
     own = np.diag(np.clip(np.diag(sigma), 0.0, None) + floor)
     if not full:
