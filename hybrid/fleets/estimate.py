@@ -93,10 +93,8 @@ def followed(track: Sequence[str], size: int) -> Followed:
 def with_payload(model: DynamicModel, payload: Sequence[float]) -> DynamicModel:
     """The baseline of an arm with a known payload.
 
-    Args:
-        model: The arm without the payload.
-        payload: Up to ten parameters: mass [kg], first moments [kg·m], inertia [kg·m²]
-            about the last joint's frame.
+    Its up to ten parameters are mass [kg], first moments [kg·m] and inertia [kg·m²]
+    about the last joint's frame.
     """
     values = dict(zip((g.name for g in Payload.gains), payload, strict=False))
     held = Payload(tuple(range(model.robot.size)), values)
@@ -186,13 +184,7 @@ def _prior(
 def _payload_covariance(
     model: DynamicModel, mass: float, tool: Sequence[float]
 ) -> Array:
-    """Covariance of the parameters of a body of unknown mass near the tool, (10, 10).
-
-    Args:
-        model: The arm.
-        mass: Usual mass, [kg].
-        tool: Position of the body in the last joint's frame, [m], or empty.
-    """
+    """Covariance (10, 10) of the parameters of a body of some mass near the tool."""
     link = model.robot.chain.inertial[-1]
     center = np.array(tool) if len(tool) else link[1:4] / max(link[0], 1e-9)
     c = center + _FROM_TOOL * np.random.default_rng(0).standard_normal((_DRAWS, 3))
@@ -263,11 +255,7 @@ def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Arra
 
 
 def _noise_weights(left: Array) -> tuple[Array, Array]:
-    """Mean square of a residual, and the weight of each sample, shape (n,) each.
-
-    Args:
-        left: The residual, shape (M, n); NaN at rest.
-    """
+    """Mean square of a residual, and the weight of its samples, shape (n,) each."""
     power, weight = np.ones(left.shape[1]), np.zeros(left.shape[1])
     for j, own in enumerate(left.T):
         moves = np.flatnonzero(np.isfinite(own))

@@ -152,11 +152,8 @@ class Series:
     ) -> Iterator[State]:
         """The state of every arm.
 
-        Args:
-            group: Name of the group of arms.
-            freedom: Degrees of freedom of each arm's standard deviations, shape (A,).
-            limit: Score of an alarm.
-            limits: Largest change of each parameter, by arm.
+        The standard deviations have some degrees of freedom, shape (A,); ``limit`` is
+        the score of an alarm, and ``limits`` are the largest changes, by arm.
         """
         found = []
         for k in range(len(self.arms)):

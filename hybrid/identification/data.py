@@ -60,15 +60,7 @@ class Data:
         )
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
-        """Residual of each sample by the solution without its fold, unfiltered.
-
-        Args:
-            problem: The linear problem.
-            theta: Solutions without each fold, shape (F, p).
-
-        Returns:
-            Torque, shape (N, n) for each motion, [N·m].
-        """
+        """Residual (N, n) of each motion, [N·m], by the solutions without each fold."""
         found = []
         for motion, fold in zip(self.motions, self.folds, strict=True):
             residual = np.empty_like(motion.tau)
@@ -85,11 +77,7 @@ class Data:
         return found
 
     def squares(self, residual: Sequence[Array]) -> Array:
-        """Squares of the moving joints in each block, shape (B, n), [N²·m²].
-
-        Args:
-            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
-        """
+        """Squares of a residual in each block, where joints move, (B, n), [N²·m²]."""
         label = np.concatenate(self.blocks)
         moves = np.concatenate([self.moves(m) for m in self.motions])
         squares = np.where(moves, np.concatenate(residual), 0.0) ** 2

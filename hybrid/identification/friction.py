@@ -63,12 +63,7 @@ def _maps() -> Array:
 
 
 def _columns(v: Array, fastest: float) -> Array:
-    """Hat functions of each direction, then powers of speed; shape (2K + 3, N).
-
-    Args:
-        v: Speed, shape (N,), [rad/s].
-        fastest: The highest, [rad/s].
-    """
+    """Hat functions of each direction, then powers of speed; shape (2K + 3, N)."""
     speed, sign, knots = abs(v), np.sign(v), fastest * _knots()
     at = np.clip(np.searchsorted(knots, speed) - 1, 0, len(knots) - 2)
     share = np.clip((speed - knots[at]) / np.diff(knots)[at], 0.0, 1.0)
@@ -145,8 +140,7 @@ def _canonical(values: dict[str, float]) -> dict[str, float]:
 def held_out(sums: Array) -> Array:
     """Held-out squares of non-negative coefficients, summed over folds, shape (...).
 
-    Args:
-        sums: Cross-products of columns and torque, last, shape (..., F, k + 1, k + 1).
+    The sums are those of columns and torque of each fold, (..., F, k + 1, k + 1).
     """
     theta = _nonnegative(sums.sum(axis=-3, keepdims=True) - sums)
     left = np.concatenate([-theta, np.ones_like(theta[..., :1])], axis=-1)
@@ -155,11 +149,7 @@ def held_out(sums: Array) -> Array:
 
 
 def _nonnegative(sums: Array) -> Array:
-    """Non-negative least-squares coefficients, shape (..., k).
-
-    Args:
-        sums: Cross-products of columns and torque, last, shape (..., k + 1, k + 1).
-    """
+    """Non-negative least-squares coefficients, shape (..., k)."""
     G, c = sums[..., :-1, :-1], sums[..., :-1, -1]
     size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1), 1e-300))
     values, vectors = np.linalg.eigh(G / size[..., None] / size[..., None, :])

@@ -40,13 +40,7 @@ class PartialRegression:
 
     @classmethod
     def of(cls, solution: Solution, joint: int, rows: Array) -> PartialRegression:
-        """The regression about the values of a solution.
-
-        Args:
-            solution: The present terms of all joints.
-            joint: The joint that a new column acts on.
-            rows: Its columns, then the residual of the solution, shape (d + 1, M).
-        """
+        """The regression about a solution, of columns, then residual, (d + 1, M)."""
         products, theta = solution.products, solution.weighted.theta
         variance = np.diag(solution.sigma)
         weight = np.diag(variance[joint] / np.maximum(variance, 1e-300))
@@ -73,15 +67,10 @@ class PartialRegression:
     def cross_validated(
         self, waves: Array, fold: NDArray[np.intp]
     ) -> tuple[Array, Array]:
-        """Squared residuals on each fold by a fit on the other folds.
-
-        Args:
-            waves: Pairs of columns, shape (K, 2, M).
-            fold: Fold of each sample, shape (M,).
+        """Squared residuals on each fold by a fit on the other folds, [N²·m²].
 
         Returns:
-            Squares without a new pair, shape (F,), and with each, shape (K, F),
-            [N²·m²].
+            Squares without a new pair, shape (F,), and with each of K, shape (K, F).
         """
         folds, d = len(self.others[0]), len(self.columns)
         every = np.concatenate([self.columns, *waves, self.residual[None]])
@@ -105,10 +94,7 @@ class PartialRegression:
     ) -> bool:
         """F-test: whether the gains of a pair of columns differ from zero.
 
-        Args:
-            wave: Pair of columns, shape (2, M).
-            block: Block of each sample, shape (M,); noise may be correlated within one.
-            chance: Probability that noise alone passes.
+        Noise may be correlated within a block; it passes with a probability ``chance``.
         """
         gains, inverse, slopes, rest = self._fitted(wave)
         if _ridge(wave @ wave.T) * np.linalg.norm(inverse, 2) > 0.5:
@@ -142,9 +128,8 @@ class PartialRegression:
     ) -> tuple[Array, Array, NDArray[np.intp]]:
         """Normal matrix and right side of all joints, and where this joint is in them.
 
-        Args:
-            sums: Cross-products of the columns, a new pair or none, and the residual.
-            chosen: Which folds of the other joints to use, shape (F,).
+        The sums are those of its columns, a new pair or none, and its residual; folds
+        of the other joints are used as ``chosen``, shape (F,).
         """
         A, b = (np.tensordot(chosen, x, axes=1) for x in self.others)
         new = len(sums) - len(self.columns) - 1

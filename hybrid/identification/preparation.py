@@ -145,14 +145,10 @@ def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]
 
 
 def decimated_motion(motion: Motion, cutoff: float) -> Motion:
-    """Decimate a motion to about twelve samples in a period of the cut-off.
+    """Decimate a motion to about twelve samples in a period of the cut-off, [Hz].
 
     Positions are filtered at twice the cut-off, so they lose nothing. The torque loses
     what is above five times the cut-off.
-
-    Args:
-        motion: Motion at its full rate.
-        cutoff: Cut-off of columns and torque, [Hz]; inf keeps every sample.
     """
     factor = int(motion.rate / (_WORKING_RATE * cutoff))
     if factor < 2:

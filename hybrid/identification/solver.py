@@ -54,8 +54,7 @@ class Solver:
     def plain(self, problem: Problem) -> dict[Estimator, Solution]:
         """Solutions by every estimator, without prior and bounds.
 
-        The better of the first two at each joint becomes the reference of
-        :meth:`cost`.
+        The better of the first two at each joint is the reference of :meth:`cost`.
         """
         solution = partial(self._solution, self._data, self._data.products(problem))
         found = {x: solution(x, bounded=False) for x in ESTIMATORS}
@@ -69,11 +68,7 @@ class Solver:
         return np.maximum(self.total(self.reference), 1e-300)
 
     def linearised(self, problem: Problem) -> tuple[Problem, bool]:
-        """The problem linearised about the gains of effects that change signals.
-
-        Returns:
-            The problem, and whether the successive linearisation converged.
-        """
+        """The problem linearised about such gains as change signals; if it converged."""
         for _ in range(_MOST_LINEARISATIONS):
             products = self._data.products(problem)
             theta = solve_weighted(products, self._estimators[-1], bounded=True).theta
@@ -93,12 +88,9 @@ class Solver:
         effects: Sequence[Effect],
         known: Sequence[Array] | None = None,
     ) -> Solution:
-        """The best solution with other effects.
+        """The best solution with other effects, at the links of ``start``.
 
-        Args:
-            start: Solution whose links give the transmitted torque.
-            effects: Effects; their shapes are fixed.
-            known: Torque to subtract first, shape (N, n) for each motion, [N·m].
+        A known torque, shape (N, n) for each motion, [N·m], is subtracted first.
         """
         # Gains that the friction fit has set to zero stay zero, because the columns of
         # falling and rising friction are collinear.
@@ -124,10 +116,7 @@ class Solver:
     ) -> Solution:
         """The solution of least cost over estimators and strengths of the prior.
 
-        Args:
-            problem: The unknowns.
-            known: Torque to subtract first, shape (N, n) for each motion, [N·m].
-            near: A strength whose neighbours alone are tried; all by default.
+        Only the neighbours of a strength ``near`` are tried, if there is one.
         """
         data = self._data.minus(known)
         solution = partial(self._solution, data, data.products(problem))

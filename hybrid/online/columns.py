@@ -9,8 +9,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.dynamics.sample import SampleRegressor
-from hybrid.errors import IdentificationError
-from hybrid.online.laws import STEP, IndexedEffect, InstantLaws
+from hybrid.online.laws import STEP, InstantLaws
 from hybrid.online.layout import PAYLOAD, RowLayout
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
@@ -20,11 +19,7 @@ _TOGETHER = 2  # instants in a rigid-body step, which then takes as long as the 
 
 
 class InstantColumns:
-    """Derivatives of the torque by all unknowns at B instants.
-
-    Raises:
-        IdentificationError: An effect changes signals instead of adding torque.
-    """
+    """Derivatives of the torque by all unknowns at B instants, in ``rows`` (B, P)."""
 
     def __init__(
         self, robot: Robot, problem: Problem, layout: RowLayout, instants: int
@@ -32,16 +27,15 @@ class InstantColumns:
         self._problem, self._layout = problem, layout
         self.rows = np.zeros((instants, len(layout.joints)))
         self._find_rigid(robot)
-        self._laws = InstantLaws(_indexed(problem), layout)
+        self._laws = InstantLaws(problem.effects, layout)
 
     def fill(
         self, states: tuple[Array, Array, Array, Array], theta: Array
     ) -> Iterator[None]:
-        """Write the derivatives to ``rows``, shape (B, P), in steps.
+        """Write the derivatives to ``rows``, in steps.
 
-        Args:
-            states: Time (B,), [s], position (B, n), [rad], speed and acceleration.
-            theta: Unknowns that give shapes and load, shape (d,).
+        States are time (B,), [s], position (B, n), [rad], speed and acceleration; the
+        unknowns (d,) give shapes and load.
         """
         for k, row in enumerate(self.rows):
             row[self._targets] = self._regressor(*(x[k] for x in states[1:]))
@@ -76,19 +70,19 @@ class InstantColumns:
         t, q, *_ = states
         motion = Motion(*states, 0 * q, np.ones(len(t), dtype=bool))
         body = RigidBody(self._problem.chain, motion, self._problem.inertial)
-        for own in self._laws.others:
-            self._fill_other(own, motion, body, theta)
+        for e in self._laws.others:
+            self._fill_other(e, motion, body, theta)
 
     def _fill_other(
-        self, own: IndexedEffect, motion: Motion, body: RigidBody, theta: Array
+        self, e: int, motion: Motion, body: RigidBody, theta: Array
     ) -> None:
-        joints = own.effect.reaches(motion.q.shape[1])
-        names = [s.name for s in own.effect.shapes]
-        values = theta[own.shapes].tolist()
-        here = own.effect.at(dict(zip(names, values, strict=True)))
+        effect, own = self._problem.effects[e], self._layout.gains[e]
+        shapes, joints = self._layout.shapes[e], effect.reaches(motion.q.shape[1])
+        names, values = [s.name for s in effect.shapes], theta[shapes].tolist()
+        here = effect.at(dict(zip(names, values, strict=True)))
         columns = here.columns(motion, body)  # (B, r, p)
-        known = [g for g, unknown in enumerate(own.gains) if unknown >= 0]
-        gains = theta[[own.gains[g] for g in known]]
+        known = [g for g, unknown in enumerate(own) if unknown >= 0]
+        gains = theta[[own[g] for g in known]]
 
         def write(unknown: int, torque: Array) -> None:
             for joint, x in zip(joints, torque.T, strict=True):
@@ -97,27 +91,10 @@ class InstantColumns:
                     self.rows[:, place] = x
 
         for g in known:
-            write(own.gains[g], columns[:, :, g])
-        for unknown, x, s in zip(own.shapes, values, own.effect.shapes, strict=True):
+            write(own[g], columns[:, :, g])
+        for unknown, x, s in zip(shapes, values, effect.shapes, strict=True):
             if self._layout.place(joints[0], unknown) >= 0:
                 step = STEP * max(abs(x), STEP)
                 step = -step if x - step >= s.lower else step
                 moved = here.at({s.name: x + step}).columns(motion, body)
                 write(unknown, (moved - columns)[:, :, known] @ gains / step)
-
-
-def _indexed(problem: Problem) -> list[IndexedEffect]:
-    """The effects with the indices of their gains and shapes among the unknowns."""
-    unknowns = {(e, g): u for u, e, g in problem.gains}
-    first, found = problem.size, []
-    for e, effect in enumerate(problem.effects):
-        if effect.changes_signals:
-            raise IdentificationError(
-                f"{effect.id} changes signals and cannot be tracked sample by sample; "
-                "valid are effects that add torque"
-            )
-        gains = [unknowns.get((e, g), -1) for g in range(len(effect.gains))]
-        shapes = list(range(first, first + len(effect.shapes)))
-        first += len(effect.shapes)
-        found.append(IndexedEffect(effect, gains, shapes))
-    return found

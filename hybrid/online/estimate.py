@@ -57,10 +57,6 @@ class OnlineEstimate:
         After a payload was grasped or dropped the covariance is increased, and updates
         pause until rows no longer contain samples from before it.
 
-        Args:
-            row: The row, shape (P,).
-            t: Time, [s].
-
         Returns:
             Statistic of a change of the payload, or None.
         """

@@ -95,6 +95,12 @@ class OnlineIdentifier:
     ) -> None:
         if not (rate > 0 and cutoff > 0 and memory > 0 and prior > 0):
             raise IdentificationError("rate, cutoff, memory and prior must be above 0")
+        for effect in effects:
+            if effect.changes_signals:
+                raise IdentificationError(
+                    f"{effect.id} changes signals and cannot be tracked sample by "
+                    "sample; valid are effects that add torque"
+                )
         self.robot, self.rate = robot, rate
         own = robot.chain.inertial if inertial is None else inertial
         problem = build_problem(robot.chain, effects, inertial=own)

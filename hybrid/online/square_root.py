@@ -47,11 +47,7 @@ class SquareRootFilter:
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
 
     def project(self, H: Array) -> Array:
-        """H·S, shape (m, d): square root of the predicted observation covariance.
-
-        Args:
-            H: Derivative of the observations by the unknowns, over their noise, (m, d).
-        """
+        """H·S, shape (m, d): square root of the predicted observation covariance."""
         return np.asarray(H @ self.root)
 
     def update(self, H: Array, error: Array, forgetting: float = 1.0) -> None:
@@ -89,12 +85,7 @@ class SquareRootFilter:
         self.root = np.asfortranarray(upper.T)
 
     def clip(self, lower: Array, upper: Array) -> None:
-        """Project an estimate outside its bounds onto them, in its own metric.
-
-        Args:
-            lower: Lowest values, shape (d,).
-            upper: Highest values, shape (d,).
-        """
+        """Project an estimate outside its bounds (d,) onto them, in its own metric."""
         (passed,) = np.nonzero((self.mean < lower) | (self.mean > upper))
         if not passed.size:
             return

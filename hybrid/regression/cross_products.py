@@ -102,9 +102,7 @@ class CrossProducts:
     def residual_products(self, theta: Array, sums: Array | None = None) -> Array:
         """Sum of products of residuals across joints, shape (..., n, n), [N²·m²].
 
-        Args:
-            theta: Unknowns, shape (p,).
-            sums: Cross-products to use, shape (..., P, P); all blocks by default.
+        It is that of all blocks, or of other sums, shape (..., P, P).
         """
         C = np.zeros((self.problem.offsets[-1], len(self.problem.support)))
         for i, support in enumerate(self.problem.support):
@@ -113,11 +111,7 @@ class CrossProducts:
         return np.asarray(C.T @ (self.total if sums is None else sums) @ C)
 
     def held_out_squares(self, theta: Array) -> Array:
-        """Squared residuals of each block by the solution without its fold, (B, n).
-
-        Args:
-            theta: Solutions without each fold, shape (F, p).
-        """
+        """Squares of each block (B, n) by the solutions without each fold (F, p)."""
         assert self.scores is not None
         return self.scores.squares(theta, self.problem.support)
 

@@ -141,16 +141,10 @@ def _undetermined(A: Array) -> tuple[int, ...]:
 
 
 def weak_directions(A: Array, weakest: float) -> Array:
-    """Directions of the unknowns that belong to small singular values.
+    """Directions of the unknowns that belong to small singular values, in columns.
 
-    Args:
-        A: Normal matrix, shape (p, p).
-        weakest: Largest singular value that counts as small, as a share of the
-            largest of all.
-
-    Returns:
-        Orthonormal directions, in columns; the unknowns are scaled so that the
-        regression columns have unit length; shape (p, any number).
+    Those are small that are below a share ``weakest`` of the largest. The unknowns are
+    scaled so that the regression columns have unit length.
     """
     values, vectors = eigh(unit_columns(A)[0])
     return np.asarray(vectors[:, values <= weakest**2 * values[-1]])
@@ -198,10 +192,6 @@ def _variance_inflation(series: Array, recording: NDArray[np.intp]) -> Array:
 
     Source: a first-order autoregression, Andrews and Monahan 1992, doi 10.2307/2951574;
     its bias by Kendall 1954, doi 10.1093/biomet/41.3-4.403.
-
-    Args:
-        series: Terms of successive blocks, of zero mean, shape (B, p).
-        recording: Index of the recording of each block, shape (B,).
     """
     follows = recording[1:] == recording[:-1]
     power = np.maximum((series**2).sum(axis=0), 1e-300)

@@ -99,11 +99,7 @@ class Problem:
         return (0, *np.cumsum([len(x) + 1 for x in self.support]).tolist())
 
     def rows(self, motion: Motion) -> Array:
-        """Columns of each joint by its :attr:`support`, then its torque, shape (P, N).
-
-        Args:
-            motion: N samples of motion and torque.
-        """
+        """Columns of each joint by its :attr:`support`, then its torque, (P, N)."""
         tau, body = motion.tau, RigidBody(self.chain, motion, self.inertial)
         for effect in self.effects:
             if effect.observes:
@@ -139,11 +135,7 @@ class Problem:
         return replace(self, base=base, columns=columns)
 
     def fitted(self, theta: Array) -> tuple[BaseParameters, tuple[Effect, ...]]:
-        """Base parameters and effects with the values of a solution.
-
-        Args:
-            theta: Unknowns, shape (p,).
-        """
+        """Base parameters and effects with the values of a solution, shape (p,)."""
         effects = list(self.effects)
         for unknown, e, g in self.gains:
             value = self._expansion_point(e, g) + theta[unknown]

@@ -33,13 +33,7 @@ class Scores:
         blocks: Sequence[NDArray[np.intp]],
         folds: Sequence[NDArray[np.intp]],
     ) -> Self:
-        """Sums of nothing, of joints with some numbers of rows.
-
-        Args:
-            sizes: Number of rows of each joint.
-            blocks: Block of every sample, in one fold each, shape (N,) for each motion.
-            folds: Fold of every sample, shape (N,) for each motion.
-        """
+        """Sums of nothing, of joints with rows of these ``sizes``."""
         label, first = np.unique(np.concatenate(blocks), return_index=True)
         count = 1 + int(label.max())
         fold = np.zeros(count, dtype=np.intp)
@@ -47,13 +41,7 @@ class Scores:
         return cls(tuple(np.zeros((count, d, d)) for d in sizes), fold)
 
     def add(self, block: NDArray[np.intp], D: Array, moving: NDArray[np.bool_]) -> None:
-        """Add rows of some samples.
-
-        Args:
-            block: Block of each sample, shape (N,).
-            D: Rows of all joints, shape (P, N).
-            moving: Whether each joint moves; it does not count where it stands, (n, N).
-        """
+        """Add rows D (P, N) of samples with these blocks, where joints are moving."""
         own = np.split(D, np.cumsum([x.shape[1] for x in self.sums])[:-1])
         for sums, rows, moves in zip(self.sums, own, moving, strict=True):
             for start, stop in runs_of(block, moves.astype(int)):
@@ -62,11 +50,9 @@ class Scores:
                     sums[block[start]] += part @ part.T
 
     def squares(self, theta: Array, support: Sequence[NDArray[np.intp]]) -> Array:
-        """Squared residuals of each block by the solution without its fold, (B, n).
+        """Squares of each block (B, n) by the solutions without each fold (F, p).
 
-        Args:
-            theta: Solutions without each fold, shape (F, p).
-            support: Unknown of each row of a joint but the last, its torque.
+        Rows of a joint but the last, its torque, belong to the unknowns ``support``.
         """
         own = theta[self.fold]  # (B, p)
         found = np.empty((len(own), len(self.sums)))
