@@ -68,7 +68,11 @@ class Solver:
         return np.maximum(self.total(self.reference), 1e-300)
 
     def linearised(self, problem: Problem) -> tuple[Problem, bool]:
-        """The problem linearised about such gains as change signals; if it converged."""
+        """The problem linearised about the gains of effects that change signals.
+
+        Returns:
+            The problem, and whether the successive linearisation converged.
+        """
         for _ in range(_MOST_LINEARISATIONS):
             products = self._data.products(problem)
             theta = solve_weighted(products, self._estimators[-1], bounded=True).theta
