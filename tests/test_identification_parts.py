@@ -193,7 +193,7 @@ def test_a_ripple_acts_up_to_the_speed_that_samples_can_show(
     rate, cutoff, periods, expected
 ):
     pieces = [
-        SimpleNamespace(motion=SimpleNamespace(rate=r), v=np.array(v))
+        SimpleNamespace(sampler=SimpleNamespace(rate=r), v=np.array(v))
         for r, v in ((rate, [1.0, -15.0]), (2 * rate, [3.0]))
     ]
     found = _ripple(1, periods, pieces, cutoff)
@@ -206,7 +206,7 @@ def piece(v, rate=1000.0):
     q = np.random.default_rng(1).uniform(0, 2 * np.pi, len(v))
     made = SimpleNamespace(
         q=q, v=v, use=np.ones(len(v), dtype=bool), refiltered=lambda x: x,
-        motion=SimpleNamespace(rate=rate), sampler=SimpleNamespace(factor=1),
+        sampler=SimpleNamespace(factor=1, rate=rate),
     )  # fmt: skip
     return made, q
 

@@ -22,7 +22,7 @@ from hybrid.identification.partial_regression import PartialRegression
 from hybrid.identification.solution import Solution
 from hybrid.regression.cross_products import chunks_along
 from hybrid.regression.problem import part
-from hybrid.signals import Motion, Sampler, butterworth_gain
+from hybrid.signals import Sampler, butterworth_gain
 
 _MOST_PERIODS = 400  # in a turn
 _MOST_RIPPLES = 4  # of a joint
@@ -51,12 +51,11 @@ def _ripples(
     terms = PartialRegression.of(solution, joint, rows)
     fold = np.concatenate([p.fold for p in pieces])
     block = np.concatenate([1000 * r + p.block for r, p in enumerate(pieces)])
+    ends = np.cumsum([len(p.fold) for p in pieces])
     chance = _FALSE_ALARMS / _MOST_PERIODS
     found: list[Effect] = []
     while len(found) < _MOST_RIPPLES:
-        residual = np.split(
-            terms.residual, np.cumsum([p.rows.shape[1] for p in pieces])[:-1]
-        )
+        residual = np.split(terms.residual, ends[:-1])
         periods = _best_orders(pieces, residual, cutoff)
         if not len(periods):
             break
@@ -64,10 +63,8 @@ def _ripples(
         waves = np.concatenate([p.waves(ripples) for p in pieces], axis=2)
         before, after = terms.cross_validated(waves, fold)
         best = int(after.sum(axis=1).argmin())
-        if not (
-            after[best].sum() < before.sum()
-            and terms.is_significant(waves[best], block, chance)
-        ):
+        lower = after[best].sum() < before.sum()
+        if not (lower and terms.is_significant(waves[best], block, chance)):
             break
         terms = terms.with_wave(waves[best])
         found.append(ripples[best])
@@ -85,8 +82,8 @@ class _Piece:
     """Moving samples of a joint in one motion.
 
     Attributes:
-        motion: The motion.
-        joint: The joint.
+        q: Positions of the joint at the full rate, shape (N,), [rad].
+        v: Its speeds, shape (N,), [rad/s].
         sampler: Filter and decimation.
         use: Which of the decimated samples are used: the M moving ones.
         rows: Columns of the joint, then the residual of the solution, (d + 1, M).
@@ -94,23 +91,13 @@ class _Piece:
         block: Block in time of each sample, shape (M,).
     """
 
-    motion: Motion
-    joint: int
+    q: Array
+    v: Array
     sampler: Sampler
     use: NDArray[np.bool_]
     rows: Array
     fold: NDArray[np.intp]
     block: NDArray[np.intp]
-
-    @property
-    def q(self) -> Array:
-        """Position, shape (N,), [rad]."""
-        return self.motion.q[:, self.joint]
-
-    @property
-    def v(self) -> Array:
-        """Speed, shape (N,), [rad/s]."""
-        return self.motion.v[:, self.joint]
 
     def waves(self, ripples: Sequence[Effect]) -> Array:
         """Filtered sine and cosine of K ripples, shape (K, 2, M)."""
@@ -138,16 +125,13 @@ def _pieces(data: Data, solution: Solution) -> list[list[_Piece]]:
         chunks = chunks_along(problem, short, sampler)
         whole = np.concatenate([D for _, D, _ in chunks], axis=1)
         block = ((sampler.keep(short.t) - motion.t[0]) // _BLOCK_SECONDS).astype(int)
-        kept, moves = (
-            sampler.keep(fold[: len(short.t)]),
-            sampler.keep(data.moves(short)),
-        )
-        parts = np.split(whole, problem.offsets[1:-1])
-        for joint, (own, every) in enumerate(zip(found, parts, strict=True)):
-            use = moves[:, joint]
+        own, moves = sampler.keep(fold[: len(short.t)]), sampler.keep(data.moves(short))
+        for joint, every in enumerate(np.split(whole, problem.offsets[1:-1])):
+            q, v, use = short.q[:, joint], short.v[:, joint], moves[:, joint]
             rows = every[:, use]
             rows[-1] -= theta[problem.support[joint]] @ rows[:-1]
-            own.append(_Piece(short, joint, sampler, use, rows, kept[use], block[use]))
+            piece = _Piece(q, v, sampler, use, rows, own[use], block[use])
+            found[joint].append(piece)
     return found
 
 
@@ -155,7 +139,7 @@ def _ripple(
     joint: int, periods: int, pieces: Sequence[_Piece], cutoff: float
 ) -> TorqueRipple:
     """A ripple that acts up to the highest speed that the sampling rate can resolve."""
-    rate = min(p.motion.rate for p in pieces)
+    rate = min(p.sampler.rate for p in pieces)
     fastest = max(float(np.abs(p.v).max()) for p in pieces)
     # Above this speed the samples would alias.
     shown = 2 * np.pi * max(rate / 2 - cutoff, cutoff) / periods
@@ -168,15 +152,14 @@ def _best_orders(
 ) -> NDArray[np.intp]:
     """Orders that explain most alone, of those in band, and the slow ones in band."""
     periods = np.arange(1, _MOST_PERIODS + 1)
-    spectrum, seen, samples = np.zeros(_MOST_PERIODS), np.zeros(_MOST_PERIODS), 0
-    total = np.zeros(_BINS)
+    seen, total, samples = np.zeros(_MOST_PERIODS), np.zeros(_BINS), 0
     for piece, x in zip(pieces, residual, strict=True):
         at = np.floor(piece.q / (2 * np.pi) * _BINS).astype(int) % _BINS
         total += np.bincount(at, weights=piece.refiltered(x), minlength=_BINS)
         speed = np.abs(piece.v[:: piece.sampler.factor][piece.use])
         count, edges = np.histogram(speed, bins=_SPEED_BINS)
         frequency = periods[:, None] * (edges[1:] + edges[:-1]) / (4 * np.pi)
-        gain = butterworth_gain(frequency, rate=piece.motion.rate, cutoff=cutoff)
+        gain = butterworth_gain(frequency, rate=piece.sampler.rate, cutoff=cutoff)
         seen += gain**2 @ count
         samples += len(speed)
     spectrum = np.abs(np.fft.rfft(total)[1 : _MOST_PERIODS + 1]) ** 2
