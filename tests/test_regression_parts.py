@@ -18,7 +18,7 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.saturation import Saturation
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.errors import IdentificationError
-from hybrid.regression.cross_products import accumulate, chunks_along
+from hybrid.regression.cross_products import accumulate, chunks_along, runs_of
 from hybrid.regression.intervals import (
     Estimate,
     _held,
@@ -34,7 +34,6 @@ from hybrid.regression.least_squares import (
 )
 from hybrid.regression.prior import Prior, file_prior, link_std
 from hybrid.regression.problem import build_problem, part
-from hybrid.regression.scores import runs_of
 from hybrid.signals import Sampler
 
 # --- uncertainty ----------------------------------------------------------------------
