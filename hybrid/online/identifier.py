@@ -200,21 +200,18 @@ class OnlineIdentifier:
             where = "arm" if effect.scope == "arm" else where
             names += [f"{effect.id}.{s.name}[{where}]" for s in effect.shapes]
             units += [s.unit for s in effect.shapes]
-        values = (self._estimate.filter.mean, *self._estimate.bounds)
-        rows = zip(
-            names, *(x.tolist() for x in values), units, self.std.tolist(), strict=True
-        )
-        return tuple(Parameter(*row) for row in rows)
+        values = (self._estimate.filter.mean, *self._estimate.bounds, self.std)
+        value, lower, upper, std = (x.tolist() for x in values)
+        return tuple(map(Parameter, names, value, lower, upper, units, std))
 
     @property
     def model(self) -> DynamicModel:
         """The model with the present values."""
         p = self.problem.size
         base, effects = self.problem.fitted(self._estimate.filter.mean[:p])
-        shapes, changed = iter(self._estimate.filter.mean[p:].tolist()), []
-        for effect in effects:
-            changed.append(effect.at({s.name: next(shapes) for s in effect.shapes}))
-        return DynamicModel(self.robot, base, tuple(changed), standing=self._standing)
+        shapes = iter(self._estimate.filter.mean[p:].tolist())
+        found = tuple(e.at({s.name: next(shapes) for s in e.shapes}) for e in effects)
+        return DynamicModel(self.robot, base, found, standing=self._standing)
 
     @property
     def taken(self) -> Array:
