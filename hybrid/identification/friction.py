@@ -64,17 +64,12 @@ def _maps() -> Array:
 
 def _columns(v: Array, fastest: float) -> Array:
     """Hat functions of each direction, then powers of speed; shape (2K + 3, N)."""
-    speed, sign, knots = abs(v), np.sign(v), fastest * _knots()
-    at = np.clip(np.searchsorted(knots, speed) - 1, 0, len(knots) - 2)
-    share = np.clip((speed - knots[at]) / np.diff(knots)[at], 0.0, 1.0)
-    count, samples = len(knots), np.arange(len(speed))
-    out = np.zeros((2 * count + _SMOOTH, len(speed)))
-    row = at + np.where(v < 0, count, 0)
-    out[row, samples] = sign * (1.0 - share)
-    out[row + 1, samples] = sign * share
-    for k in range(1, _SMOOTH + 1):
-        out[2 * count + k - 1] = sign * speed**k
-    return out
+    speed, knots = abs(v), fastest * _knots()
+    hats = np.array([np.interp(speed, knots, x) for x in np.eye(len(knots))])
+    powers = speed ** np.arange(1, _SMOOTH + 1)[:, None]
+    return np.asarray(
+        np.sign(v) * np.concatenate([hats * (v > 0), hats * (v < 0), powers])
+    )
 
 
 def fit_friction(
