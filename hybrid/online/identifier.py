@@ -95,12 +95,11 @@ class OnlineIdentifier:
     ) -> None:
         if not (rate > 0 and cutoff > 0 and memory > 0 and prior > 0):
             raise IdentificationError("rate, cutoff, memory and prior must be above 0")
-        for effect in effects:
-            if effect.changes_signals:
-                raise IdentificationError(
-                    f"{effect.id} changes signals and cannot be tracked sample by "
-                    "sample; valid are effects that add torque"
-                )
+        for effect in (e for e in effects if e.changes_signals):
+            raise IdentificationError(
+                f"{effect.id} changes signals and cannot be tracked sample by sample; "
+                "valid are effects that add torque"
+            )
         self.robot, self.rate = robot, rate
         own = robot.chain.inertial if inertial is None else inertial
         problem = build_problem(robot.chain, effects, inertial=own)
@@ -133,8 +132,7 @@ class OnlineIdentifier:
         )
         self._intake: Intake | None = None
         self._pipeline: Pipeline
-        # The work on the last block: calls and steps that it took, and steps of the
-        # longest block up to now.
+        # Work on the last block: its calls, its steps, and those of the longest block.
         self._work: Iterator[None] = iter(())
         self._calls, self._done, self._steps = self._block, 0, self._block
         self._change: Change | None = None
