@@ -174,7 +174,6 @@ class Identification:
         """Make the links physically consistent, and learn the remainder again."""
         free, before = self.best, self.squares
         self._record_stage(free, self.remainder)
-
         problem, weighted = free.problem, free.weighted
         products = free.products.shared(weighted.share)
         found = physically_consistent(problem, *products.normal(weighted.weight))
@@ -241,13 +240,12 @@ class Identification:
         total = self.solver.total(self.squares)
         ratio = np.sqrt(total / np.maximum(self.solver.total(file), 1e-300))
         if np.log(np.maximum(ratio, 1e-300)).mean() > _WORSE:
-            more = ", ".join(dict.fromkeys(e.id for e in self.extra))
+            own = ", ".join(dict.fromkeys(e.id for e in self.extra))
+            more = f", without {own} or of more motion" if own else ""
             raise IdentificationError(
                 "the model predicts unseen torque worse than the robot file does "
                 f"(by {ratio.mean() - 1:.0%} on the mean of the joints); valid are "
-                "logs of this arm whose columns, units and clock are right"
-                + f", without {more} or of more motion"
-                * bool(more)
+                f"logs of this arm whose columns, units and clock are right{more}"
             )
         rise = np.sqrt(total / self.solver.base) - 1.0
         for j in np.flatnonzero(rise > _COSTLY):
