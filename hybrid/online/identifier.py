@@ -247,7 +247,8 @@ class OnlineIdentifier:
             self._calls += 1
             last = self._calls == self._block
             due = self._calls * self._steps // self._block - self._done
-            self._done += sum(1 for _ in islice(self._work, None if last else due))
+            for _ in islice(self._work, None if last else due):
+                self._done += 1
             self._steps = max(self._steps, self._done)
         return self._change
 
