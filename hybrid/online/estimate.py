@@ -7,9 +7,10 @@ from collections.abc import Generator
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.online.initial_estimate import InitialEstimate
 from hybrid.online.layout import RowLayout
 from hybrid.online.noise import TorqueNoise
-from hybrid.online.payload_change import PayloadChange
+from hybrid.online.payload_change import PayloadChange, likely_payload
 from hybrid.online.square_root import SquareRootFilter
 
 _MOST_DEVIATIONS = 5.0  # standard deviations at which an error is clipped
@@ -19,11 +20,9 @@ class OnlineEstimate:
     """Recursive filter, torque noise and payload detector together.
 
     Args:
-        square_root: The recursive filter.
+        start: The estimate before the first sample.
         layout: Layout of a row.
-        bounds: Lower and upper bounds of the unknowns, shape (d,) each.
-        gains: Number of unknowns p in which the torque is linear; shapes come after.
-        payload: Change of the unknowns by usual payload parameters, shape (d, 10).
+        sizes: Usual parameters of a payload, shape (10,).
         noise: Standard deviation of the torque error.
         detector: Detector of payload changes.
         forgetting: Forgetting factor λ of each update.
@@ -33,23 +32,34 @@ class OnlineEstimate:
 
     def __init__(
         self,
-        square_root: SquareRootFilter,
+        start: InitialEstimate,
         layout: RowLayout,
         *,
-        bounds: tuple[Array, Array],
-        gains: int,
-        payload: Array,
+        sizes: Array,
         noise: TorqueNoise,
         detector: PayloadChange,
         forgetting: float,
         mixing: float,
     ) -> None:
-        self.filter, self.bounds, self.payload = square_root, bounds, payload
+        self.filter = SquareRootFilter(start.theta, start.root)
+        self.bounds, self._gains = start.bounds(), start.problem.size
+        self._payload, self._sizes = start.payload_directions(sizes), sizes
         self.noise, self._detector, self._layout = noise, detector, layout
-        self._gains, self._forgetting, self._mixing = gains, forgetting, mixing
-        self.before = square_root.mean.copy(), square_root.covariance
+        self._forgetting, self._mixing = forgetting, mixing
+        self._before = self.filter.mean.copy(), self.filter.covariance
         self.error = np.zeros(len(noise.std))
         self._learn_from = -np.inf
+
+    @property
+    def taken(self) -> Array:
+        """The most probable payload of the last change, shape (10,)."""
+        mean, covariance = self._before
+        return likely_payload(
+            self.filter.mean - mean,
+            covariance + self.filter.covariance,
+            self._payload,
+            self._sizes,
+        )
 
     def learn(self, row: Array, t: float) -> Generator[None, None, float | None]:
         """Update with a row, in steps.
@@ -80,8 +90,8 @@ class OnlineEstimate:
         yield
         change = self._detector.detect(t, inflation)
         if change is not None:
-            self.before = self.filter.mean.copy(), self.filter.covariance
-            self.filter.add_covariance(self.payload)
+            self._before = self.filter.mean.copy(), self.filter.covariance
+            self.filter.add_covariance(self._payload)
             self._learn_from = t + self._mixing
             return change
         yield

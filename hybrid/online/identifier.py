@@ -29,9 +29,8 @@ from hybrid.online.initial_estimate import REACH, InitialEstimate, payload_sizes
 from hybrid.online.intake import Intake, Sample
 from hybrid.online.layout import RowLayout
 from hybrid.online.noise import TorqueNoise
-from hybrid.online.payload_change import Change, PayloadChange, likely_payload
+from hybrid.online.payload_change import Change, PayloadChange
 from hybrid.online.pipeline import Pipeline
-from hybrid.online.square_root import SquareRootFilter
 from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
@@ -118,13 +117,10 @@ class OnlineIdentifier:
         self._layout = RowLayout(self.problem, shape_prior > 0)
         self._columns = InstantColumns(robot, self.problem, self._layout, rows)
         updates, size = rate / self._block, len(start.theta)
-        self._payload_sizes = payload_sizes(_PAYLOAD)
         self._estimate = OnlineEstimate(
-            SquareRootFilter(start.theta, start.root),
+            start,
             self._layout,
-            bounds=start.bounds(),
-            gains=problem.size,
-            payload=start.payload_directions(self._payload_sizes),
+            sizes=payload_sizes(_PAYLOAD),
             noise=TorqueNoise(usual[0] if noise is None else noise, updates),
             detector=PayloadChange(rate=updates, mass=_PAYLOAD, reach=REACH),
             forgetting=1.0 - min(0.5, size / robot.size / (memory * updates)),
@@ -218,13 +214,7 @@ class OnlineIdentifier:
         Mass, first moments and inertia about the origin of its frame. Undetermined
         parameters are as small as possible.
         """
-        mean, covariance = self._estimate.before
-        return likely_payload(
-            self._estimate.filter.mean - mean,
-            covariance + self._estimate.filter.covariance,
-            self._estimate.payload,
-            self._payload_sizes,
-        )
+        return self._estimate.taken
 
     def update(self, sample: Sample) -> Change | None:
         """Accept one sample, or reject it; see :attr:`health`.
