@@ -68,9 +68,9 @@ def identify_plainly(robot: Robot, motion: Motion) -> tuple[Estimate, dict[str, 
     assert problem.support  # worked out once for each arm
     times.append(process_time())
     standing = np.zeros(robot.size)
-    sums = accumulate(problem.rows, [motion], cutoff=np.inf, standing=standing)
+    products = accumulate(problem, [motion], cutoff=np.inf, standing=standing)
     times.append(process_time())
-    estimate = solve(sums.of(problem), "irls")
+    estimate = solve(products, "irls")
     times.append(process_time())
     names = ("reduction", "columns and cross-products", "IRLS and intervals")
     return estimate, dict(zip(names, np.diff(times).tolist(), strict=True))

@@ -199,8 +199,8 @@ def rigid(
         for motion, known in zip_longest(data.motions, explained, fillvalue=0.0)
     ]
     problem = build_problem(robot.chain, effects)
-    sums = accumulate(problem.rows, motions, cutoff=data.cutoff, standing=data.standing)
-    base, found = problem.fitted(solve(sums.of(problem), estimator).theta)
+    products = accumulate(problem, motions, cutoff=data.cutoff, standing=data.standing)
+    base, found = problem.fitted(solve(products, estimator).theta)
     return DynamicModel(robot, base, found, None, data.cutoff, data.standing)
 
 

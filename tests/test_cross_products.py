@@ -10,15 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm, linear_problem, motions, stacked, with_torque
 
-from hybrid.effects.load_friction import LoadFriction
-from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.effects.torque_gain import TorqueGain
-from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import solve
 from hybrid.regression.prior import Prior
-from hybrid.regression.problem import build_problem
 from hybrid.signals import Sampler
 
 EVERYTHING = -1.0  # no joint is slower: none counts as standing
@@ -33,10 +28,9 @@ def loaded(robot, *, seed=0, **options):
 
 def crossed(problem, chosen, *, cutoff=np.inf, standing=EVERYTHING, **options):
     n = problem.chain.size
-    sums = accumulate(
-        problem.rows, chosen, cutoff=cutoff, standing=np.full(n, standing), **options
+    return accumulate(
+        problem, chosen, cutoff=cutoff, standing=np.full(n, standing), **options
     )
-    return sums.of(problem)
 
 
 def dense(problem, chosen, weight, *, cutoff=np.inf, standing=EVERYTHING):
@@ -87,43 +81,6 @@ def test_so_they_are_for_random_chains_and_weights(seed):
     )
     for x, y in zip(found, expected, strict=True):
         assert_same(x, y, 1e-11)
-
-
-def test_rows_are_the_same_where_those_of_the_links_are_known_already():
-    robot = arm("coman_like")
-    problem, (motion, *_) = linear_problem(robot), loaded(robot)
-    links = problem.rows.link_columns(motion)
-    assert links.shape == (robot.size, len(problem.rigid), len(motion.t))
-    found, expected = problem.rows.along(motion, links), problem.rows.along(motion)
-    np.testing.assert_array_equal(found, expected)
-
-
-def test_sums_of_more_terms_hold_those_of_each_problem():
-    robot = arm("planar")
-    chosen, standing = loaded(robot), np.full(2, 0.05)
-    folds = [(m.t // 0.7).astype(int) % 3 for m in chosen]
-    options = {"cutoff": 8.0, "standing": standing, "folds": folds, "blocks": folds}
-    laws = [Viscous((0,)), ThresholdFriction((1,)), LoadFriction((1,))]
-    few, more = (build_problem(robot.chain, x) for x in (laws[:1], laws))
-    sums = accumulate(few.rows.beside(laws), chosen, **options)
-    for problem in (few, more):
-        assert sums.cover(problem)
-        alone = accumulate(problem.rows, chosen, **options).of(problem)
-        assert_same(sums.of(problem).blocks, alone.blocks, 1e-13)
-        theta = np.random.default_rng(0).normal(size=(3, problem.size))
-        squares = (x.held_out_squares(theta) for x in (sums.of(problem), alone))
-        np.testing.assert_allclose(*squares, rtol=1e-9)
-
-
-def test_sums_hold_no_problem_at_other_links_or_signals():
-    robot = arm("planar")
-    laws = [LoadFriction((1,))]
-    rows = build_problem(robot.chain, laws).rows
-    sums = accumulate(rows, loaded(robot), cutoff=np.inf, standing=np.zeros(2))
-    heavy = build_problem(robot.chain, laws, inertial=2 * robot.chain.inertial)
-    scaled = build_problem(robot.chain, [*laws, TorqueGain((0,))])
-    assert not sums.cover(heavy) and not sums.cover(scaled)
-    assert rows.beside(scaled.effects).effects == tuple(laws)
 
 
 def test_many_sums_have_their_normal_equations_each():

@@ -75,7 +75,7 @@ def found(rows, joint, parameter):
 )
 def test_a_change_is_found_where_it_is(effect, joint, parameter, size):
     before, after = (
-        deviations(baseline(), logs(x, seed=9), TRACK, tool=(0.2, 0.0, 0.0)).rows
+        deviations(baseline(), logs(x, seed=9), TRACK, tool=(0.2, 0.0, 0.0))
         for x in ("", effect)
     )
     gap = found(after, joint, parameter).change - found(before, joint, parameter).change
@@ -94,7 +94,7 @@ def test_other_noise_on_the_same_motion_leaves_the_standard_deviations_alike():
     std = []
     for _ in range(8):
         tau = log.tau + 0.5 * rng.standard_normal(log.tau.shape)
-        rows = deviations(baseline(), [replace(log, tau=tau)], TRACK).rows
+        rows = deviations(baseline(), [replace(log, tau=tau)], TRACK)
         std.append([x.std for x in rows])
     assert np.log(std).std(axis=0).max() < 0.05
 
@@ -104,7 +104,7 @@ def test_a_payload_that_the_arm_was_told_of_is_no_change():
         HELD, ("shoulder", "elbow"), joint_scales(Robot.load(SCARA))
     )
     told, loaded = effect.gain_values.tolist(), logs(HELD, seed=9)
-    rows = deviations(with_payload(baseline(), told), loaded, TRACK).rows
+    rows = deviations(with_payload(baseline(), told), loaded, TRACK)
     x = found(rows, "arm", "payload.mass")
     assert abs(x.change) < 2 * x.std
     assert x.baseline == 0.8

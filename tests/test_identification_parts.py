@@ -193,7 +193,7 @@ def test_a_ripple_acts_up_to_the_speed_that_samples_can_show(
     rate, cutoff, periods, expected
 ):
     pieces = [
-        SimpleNamespace(motion=SimpleNamespace(rate=r), v=np.array(v))
+        SimpleNamespace(sampler=SimpleNamespace(rate=r), v=np.array(v))
         for r, v in ((rate, [1.0, -15.0]), (2 * rate, [3.0]))
     ]
     found = _ripple(1, periods, pieces, cutoff)
@@ -206,7 +206,7 @@ def piece(v, rate=1000.0):
     q = np.random.default_rng(1).uniform(0, 2 * np.pi, len(v))
     made = SimpleNamespace(
         q=q, v=v, use=np.ones(len(v), dtype=bool), refiltered=lambda x: x,
-        motion=SimpleNamespace(rate=rate), sampler=SimpleNamespace(factor=1),
+        sampler=SimpleNamespace(factor=1, rate=rate),
     )  # fmt: skip
     return made, q
 
@@ -324,16 +324,6 @@ def test_links_that_are_right_stay_and_wrong_ones_become_possible():
             physically_consistent(problem, bad, b)
 
 
-def test_a_margin_keeps_links_above_a_share_of_the_nominal_ones():
-    problem, A, b = normal(swings(2))
-    off = -np.linalg.lstsq(A, b, rcond=None)[0]
-    least = []
-    for margin in (1e-4, 0.3):
-        found = physically_consistent(problem, A, A @ off, margin=margin).inertial
-        least.append((found[:, 0] / problem.chain.inertial[:, 0]).min())
-    assert 0.0 < least[0] < 0.05 and least[1] > 0.29
-
-
 def test_poor_motion_is_told_with_what_it_leaves_open_and_the_joints_to_move():
     problem, _, _ = normal(swings(2), [Coulomb((1,))])
     size = problem.size
@@ -420,7 +410,7 @@ def ripples(monkeypatch, accepted):
     made._record_stage = made.recorded.append
     monkeypatch.setattr(
         "hybrid.identification.identification.find_ripples",
-        lambda data, best, waves: {0: [wave]},
+        lambda data, best: {0: [wave]},
     )
     Identification.ripple_stage(made)
     return made

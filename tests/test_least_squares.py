@@ -47,10 +47,9 @@ class Bench:
 
     def products(self, logs, **options):
         standing = np.full(self.n, -1.0)
-        sums = accumulate(
-            self.problem.rows, logs, cutoff=self.cutoff, standing=standing, **options
+        return accumulate(
+            self.problem, logs, cutoff=self.cutoff, standing=standing, **options
         )
-        return sums.of(self.problem)
 
     def generalised(self, logs, weight):
         """Generalised least squares on the whole stacked matrix."""

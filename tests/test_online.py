@@ -240,9 +240,8 @@ def test_columns_of_an_instant_are_the_slopes_of_the_torque(branches, monkeypatc
     v *= 0.02
 
     def derivative(x):
-        columns.begin((np.zeros(1), q, v, a), x)
-        for task in columns.tasks:
-            task()
+        for _ in columns.fill((np.zeros(1), q, v, a), x):
+            pass
         return layout.derivative(columns.rows[0])
 
     J = derivative(theta)

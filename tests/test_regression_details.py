@@ -18,8 +18,8 @@ def products_of(noise, seconds=20.0):
     problem, (m,) = linear_problem(robot), motions(robot, count=1, duration=seconds)
     theta = np.random.default_rng(1).normal(size=problem.size)
     log = with_torque(m, stacked(problem, m) @ theta + noise(m))
-    sums = accumulate(problem.rows, [log], cutoff=np.inf, standing=np.full(2, -1.0))
-    return sums.of(problem), theta
+    standing = np.full(2, -1.0)
+    return accumulate(problem, [log], cutoff=np.inf, standing=standing), theta
 
 
 def white(m):

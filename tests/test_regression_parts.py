@@ -1,6 +1,7 @@
 """Intervals, priors, bounds and weak directions of the regression by closed forms."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.saturation import Saturation
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.errors import IdentificationError
-from hybrid.regression.cross_products import accumulate, sampled_chunks
+from hybrid.regression.cross_products import accumulate, chunks_along, runs_of
 from hybrid.regression.intervals import (
     Estimate,
     _held,
@@ -33,7 +34,6 @@ from hybrid.regression.least_squares import (
 )
 from hybrid.regression.prior import Prior, file_prior, link_std
 from hybrid.regression.problem import build_problem, part
-from hybrid.regression.scores import runs_of
 from hybrid.signals import Sampler
 
 # --- uncertainty ----------------------------------------------------------------------
@@ -194,8 +194,8 @@ def test_without_a_mass_a_file_says_nothing():
 
 def products(count=1, seconds=10.0):
     logs = [with_torque(m, (), 0.1) for m in swings(count=count, seconds=seconds)]
-    rows = build_problem(pendulum().chain, []).rows
-    return accumulate(rows, logs, cutoff=np.inf, standing=np.zeros(1))
+    problem = build_problem(pendulum().chain, [])
+    return accumulate(problem, logs, cutoff=np.inf, standing=np.zeros(1))
 
 
 def test_a_block_lasts_a_quarter_of_a_second_or_longer_where_logs_are():
@@ -209,19 +209,23 @@ def test_a_sample_of_every_unknown_is_too_few():
     (m, *_) = swings(count=1, seconds=1.0)
     for samples, enough in ((problem.size, False), (problem.size + 1, True)):
         few = part(m, slice(20, 20 + samples))
-        sums = accumulate(problem.rows, [few], cutoff=np.inf, standing=np.zeros(1))
+        sums = accumulate(problem, [few], cutoff=np.inf, standing=np.zeros(1))
         if enough:
-            solve_weighted(sums.of(problem), "ls")
+            solve_weighted(sums, "ls")
             continue
         with pytest.raises(IdentificationError, match="longer recordings are needed"):
-            solve_weighted(sums.of(problem), "ls")
+            solve_weighted(sums, "ls")
 
 
 def test_chunks_join_to_the_whole_whatever_their_number():
     x = np.random.default_rng(0).standard_normal((2, 40_000))
     sampler = Sampler.for_rate(1000.0, 20.0)
     assert sampler.factor > 1
-    found = list(sampled_chunks(lambda here: x[:, here], 40_000, sampler))
+    (m, *_) = swings(count=1, seconds=1.0)
+    t, q = np.arange(40_000) / 1000.0, x.T
+    motion = replace(m, t=t, q=q, v=q, a=q, tau=q, mask=t >= 0)
+    as_rows = SimpleNamespace(rows=lambda few: few.q.T)
+    found = list(chunks_along(as_rows, motion, sampler))
     assert [first * sampler.factor for first, _, _ in found] == [
         k * (16384 // sampler.factor * sampler.factor) for k in range(3)
     ]

@@ -91,11 +91,7 @@ def _shapes(t: Array) -> tuple[Array, NDArray[np.intp], int]:
 def _scores(t: Array, y: Array, s: Array, x: Array | None) -> tuple[Array, Array]:
     """Score of every step and ramp, and the standard deviation of its size.
 
-    Args:
-        t: Time, shape (N,).
-        y: Values, shape (N,) or (N, series).
-        s: Standard deviations of the values, shape (N,).
-        x: Covariate on which the values may depend linearly, shape (N,), or None.
+    Values may be of one series, shape (N,), or of many, shape (N, series).
     """
     H, _, _ = _shapes(t)
     known = [np.ones(len(t))] if x is None else [np.ones(len(t)), x - x.mean()]
@@ -105,8 +101,7 @@ def _scores(t: Array, y: Array, s: Array, x: Array | None) -> tuple[Array, Array
     H = H - Q @ (Q.T @ H)
     size = np.linalg.norm(H, axis=0)
     size = np.where(size > 1e-6 * own, size, np.inf)  # collinear with x: no score
-    weighted = y / (s if y.ndim == 1 else s[:, None])
-    return (H.T @ weighted) / (size if y.ndim == 1 else size[:, None]), 1.0 / size
+    return ((y.T / s) @ H / size).T, 1.0 / size
 
 
 def threshold(count: int, days: float, series: int, false_alarms: float) -> float:
@@ -194,12 +189,7 @@ def _change(t: Array, y: Array, s: Array, x: Array | None, alarm: float) -> Chan
 
 
 def _first_alarm(
-    t: Array,
-    y: Array,
-    s: Array,
-    limit: float,
-    x: Array | None,
-    start: int,
+    t: Array, y: Array, s: Array, limit: float, x: Array | None, start: int
 ) -> int | None:
     for n in range(start + _FEWEST, len(t) + 1):
         here = slice(max(start, n - _LOOK_BACK), n)

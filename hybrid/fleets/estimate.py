@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -41,13 +42,17 @@ class Deviation:
     """One parameter of one joint in one period.
 
     Attributes:
-        joint: Name of the joint; ``arm`` for a parameter of the whole arm.
+        joint: Name of the joint; ``arm`` for a parameter of the whole arm, whose
+            residual, load and temperature are means over the joints.
         parameter: Effect and gain, as ``coulomb.level``.
         unit: SI unit.
         change: Deviation from the baseline.
         std: Standard deviation of the change, within the period.
         baseline: Value in the baseline; 0 if it has none.
         baseline_std: Standard deviation of the value in the baseline.
+        residual: RMS residual over that of the baseline.
+        load: RMS torque of the rigid body, [N·m].
+        temperature: Mean drive temperature, [°C]; NaN if not logged.
     """
 
     joint: str
@@ -57,31 +62,13 @@ class Deviation:
     std: float
     baseline: float
     baseline_std: float
-
-
-@dataclass(frozen=True)
-class Deviations:
-    """The deviations of one arm in one period.
-
-    Attributes:
-        rows: The tracked parameters.
-        residual: RMS residual over that of the baseline, shape (n,).
-        load: RMS torque of the rigid body, shape (n,), [N·m].
-        temperature: Mean drive temperature, shape (n,), [°C]; NaN if not logged.
-    """
-
-    rows: tuple[Deviation, ...]
-    residual: Array
-    load: Array
-    temperature: Array
+    residual: float
+    load: float
+    temperature: float
 
 
 def followed(track: Sequence[str], size: int) -> Followed:
-    """Effects whose gains are estimated, with the names of the tracked gains.
-
-    Args:
-        track: Effects, or gains as ``effect.gain``.
-        size: Number of joints n.
+    """Effects, or gains as ``effect.gain``, at each of n joints; see :data:`Followed`.
 
     Raises:
         HybridError: A name is unknown, or the effect has no gain of that name.
@@ -97,9 +84,8 @@ def followed(track: Sequence[str], size: int) -> Followed:
             )
         if cls.scope == "coupling":
             raise HybridError(f"track: {kind} is of pairs of joints; not followed")
-        places = [tuple(range(size))] if cls.scope == "arm" else [
-            (j,) for j in range(size)
-        ]  # fmt: skip
+        arm = cls.scope == "arm"
+        places = [tuple(range(size))] if arm else [(j,) for j in range(size)]
         found += [(cls(place), (gain,) if gain else names) for place in places]
     return found
 
@@ -107,10 +93,8 @@ def followed(track: Sequence[str], size: int) -> Followed:
 def with_payload(model: DynamicModel, payload: Sequence[float]) -> DynamicModel:
     """The baseline of an arm with a known payload.
 
-    Args:
-        model: The arm without the payload.
-        payload: Up to ten parameters: mass [kg], first moments [kg·m], inertia [kg·m²]
-            about the last joint's frame.
+    Its up to ten parameters are mass [kg], first moments [kg·m] and inertia [kg·m²]
+    about the last joint's frame.
     """
     values = dict(zip((g.name for g in Payload.gains), payload, strict=False))
     held = Payload(tuple(range(model.robot.size)), values)
@@ -122,7 +106,7 @@ def deviations(
     recordings: Sequence[Recording],
     track: Sequence[str],
     tool: Sequence[float] = (),
-) -> Deviations:
+) -> list[Deviation]:
     """Deviations of an arm from its baseline; the logs are checked against physics.
 
     Args:
@@ -143,35 +127,37 @@ def deviations(
     theta, covariance, residual = _posterior(parts, _prior(model, rigid, effects, tool))
     warm = [m.temperature for m in data.motions if m.temperature is not None]
     load = np.concatenate([model.body(m).load for m in data.motions])
-    std = np.sqrt(np.diag(covariance))
-    return Deviations(
-        tuple(_rows(model, effects, theta[len(rigid) :], std[len(rigid) :])),
+    measured = (
         residual,
         np.sqrt((load**2).mean(axis=0)),
         np.concatenate(warm).mean(axis=0) if warm else np.full(robot.size, np.nan),
     )
+    estimates = zip(theta, np.sqrt(np.diag(covariance)), strict=True)
+    return list(_rows(model, effects, islice(estimates, len(rigid), None), measured))
 
 
 def _rows(
-    model: DynamicModel, effects: Followed, theta: Array, std: Array
+    model: DynamicModel,
+    effects: Followed,
+    estimates: Iterator[tuple[float, float]],
+    measured: Sequence[Array],
 ) -> Iterator[Deviation]:
-    at = 0
     for effect, names in effects:
         place = effect.id, effect.joints
         own = next((e for e in model.effects if (e.id, e.joints) == place), None)
+        values, std = (own.values, own.std) if own else ({}, {})
         where = model.robot.joints[effect.joints[0]]
-        for gain in effect.gains:
+        means = [float(x[list(effect.joints)].mean()) for x in measured]
+        for gain, estimate in zip(effect.gains, estimates, strict=False):
             if gain.name in names:
                 yield Deviation(
                     "arm" if effect.scope == "arm" else where,
                     f"{effect.id}.{gain.name}",
                     gain.unit,
-                    float(theta[at]),
-                    float(std[at]),
-                    float(own.values[gain.name]) if own else 0.0,
-                    float(own.std.get(gain.name, 0.0)) if own else 0.0,
+                    *map(float, estimate),
+                    *(float(x.get(gain.name, 0.0)) for x in (values, std)),
+                    *means,
                 )
-            at += 1
 
 
 def _prior(
@@ -198,13 +184,7 @@ def _prior(
 def _payload_covariance(
     model: DynamicModel, mass: float, tool: Sequence[float]
 ) -> Array:
-    """Covariance of the parameters of a body of unknown mass near the tool, (10, 10).
-
-    Args:
-        model: The arm.
-        mass: Usual mass, [kg].
-        tool: Position of the body in the last joint's frame, [m], or empty.
-    """
+    """Covariance (10, 10) of the parameters of a body of some mass near the tool."""
     link = model.robot.chain.inertial[-1]
     center = np.array(tool) if len(tool) else link[1:4] / max(link[0], 1e-9)
     c = center + _FROM_TOOL * np.random.default_rng(0).standard_normal((_DRAWS, 3))
@@ -275,11 +255,7 @@ def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Arra
 
 
 def _noise_weights(left: Array) -> tuple[Array, Array]:
-    """Mean square of a residual, and the weight of each sample, shape (n,) each.
-
-    Args:
-        left: The residual, shape (M, n); NaN at rest.
-    """
+    """Mean square of a residual, and the weight of its samples, shape (n,) each."""
     power, weight = np.ones(left.shape[1]), np.zeros(left.shape[1])
     for j, own in enumerate(left.T):
         moves = np.flatnonzero(np.isfinite(own))

@@ -111,9 +111,8 @@ def fleet_from_rows(plan: Plan, rows: Sequence[Mapping[str, Any]]) -> Fleet:
         own = [Series(x) for _, x in sorted(table.items())]
         for series in own:
             series.remove_common()
-        for series, s in zip(
-            own, calibrated_std([(x.y, x.s) for x in own]), strict=True
-        ):
+        calibrated = calibrated_std([(x.y, x.s) for x in own])
+        for series, s in zip(own, calibrated, strict=True):
             series.s = s
         scatters = moderated([Scatter.of(x.y, x.s) for x in own])
         for series, scatter in zip(own, scatters, strict=True):

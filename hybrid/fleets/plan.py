@@ -31,6 +31,7 @@ _STAMP = ("size", "mtime", "ETag", "LastModified")  # change when a file changes
 # By period: day, path and fingerprint of each log.
 Logs = Mapping[str, list[tuple[str, str, str]]]
 _DAYS = {"day": 1.0, "week": 7.0, "month": MONTH, "log": 1.0}
+_NAMES = {"day": "%Y-%m-%d", "week": "%G-W%V", "month": "%Y-%m"}
 
 
 @dataclass(frozen=True)
@@ -163,10 +164,8 @@ def plan_from_dict(
         found.append(_arm(str(name), base | dict(entry), folder, where))
     arms = tuple(sorted(found, key=lambda x: x.name))
     plan = Plan(arms, **{k: content[k] for k in own & set(content)})
-    for name, x in (
-        ("time_limit", plan.time_limit),
-        ("false_alarms", plan.false_alarms),
-    ):
+    for name in ("time_limit", "false_alarms"):
+        x = getattr(plan, name)
         if isinstance(x, bool) or not isinstance(x, int | float) or not x > 0:
             raise HybridError(f"{source}: {name} is {x!r}; valid is a number above 0")
     if plan.period not in list(_DAYS):
@@ -198,12 +197,12 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
             f"{where}: payload has {len(numbers)} numbers and tool {len(tool)}; valid "
             "are up to 10, and 3 or none"
         )
-    robot, baseline = str(entry["robot"]), str(entry.get("baseline", FIRST))
+    logs, robot = entry["logs"], str(entry["robot"])
+    baseline = str(entry.get("baseline", FIRST))
     is_file = baseline.endswith(".json")
     return ArmPlan(
         name,
-        entry["logs"] if isinstance(entry["logs"], Mapping)
-        else _resolved(str(entry["logs"]), folder),
+        logs if isinstance(logs, Mapping) else _resolved(str(logs), folder),
         _resolved(robot, folder) if "." in robot else robot,
         _resolved(baseline, folder) if is_file else baseline,
         numbers,
@@ -212,15 +211,15 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
         str(entry.get("group", Path(robot).name)),
         tuple(entry.get("joints", ())),
         entry.get("map"),
-    )  # fmt: skip
+    )
 
 
 def _check_keys(content: Any, valid: set[str], where: str) -> None:
-    if not isinstance(content, Mapping) or set(content) - valid:
-        strange = sorted(map(str, set(content) - valid)) if isinstance(
-            content, Mapping) else [repr(content)]  # fmt: skip
+    is_table = isinstance(content, Mapping)
+    strange = set(map(str, content)) - valid if is_table else {repr(content)}
+    if strange:
         raise HybridError(
-            f"{where}: {', '.join(strange)} is not valid; valid are "
+            f"{where}: {', '.join(sorted(strange))} is not valid; valid are "
             f"{', '.join(sorted(valid))}"
         )
 
@@ -271,10 +270,7 @@ def _logs(arm: ArmPlan) -> Iterator[tuple[str, str, str]]:
             yield str(path), _fingerprint(fs, root), str(day)
         return
     fs, root = opened(arm.logs)
-    if fs.isdir(root):
-        inside = [x["name"] for x in fs.ls(root, detail=True)]
-    else:
-        inside = fs.glob(root)
+    inside = fs.ls(root, detail=False) if fs.isdir(root) else fs.glob(root)
     for path in inside:
         if not Path(path).name.startswith("."):
             yield _full_path(fs, path), _fingerprint(fs, path), ""
@@ -321,7 +317,4 @@ def _day(text: str) -> date | None:
 
 def _period(day: date | None, period: str) -> str:
     assert day is not None
-    if period == "week":
-        year, week, _ = day.isocalendar()
-        return f"{year}-W{week:02d}"
-    return day.isoformat()[: 7 if period == "month" else 10]
+    return day.strftime(_NAMES[period])

@@ -83,9 +83,9 @@ class Series:
 
     def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
         self.arms = sorted({x["arm"] for x in rows})
-        names = sorted({(x["day"], x["period"]) for x in rows})
-        periods = list(dict.fromkeys(name for _, name in names))
-        first = {name: day for day, name in reversed(names)}
+        dated = sorted({(x["day"], x["period"]) for x in rows})
+        periods = list(dict.fromkeys(name for _, name in dated))
+        first = {name: day for day, name in reversed(dated)}
         self.days = np.array([
             float(date.fromisoformat(first[x]).toordinal()) if first[x] else float(k)
             for k, x in enumerate(periods)
@@ -94,14 +94,12 @@ class Series:
         shape = len(self.arms), len(periods)
         at = {name: k for k, name in enumerate(self.arms)}
         when = {name: k for k, name in enumerate(periods)}
-        self.y, self.s, self.baseline = np.full((3, *shape), np.nan)
-        self.x = {name: np.full(shape, np.nan) for name in _COVARIATES}
+        names = "change", "std", "baseline", *_COVARIATES
+        self.x = {name: np.full(shape, np.nan) for name in names}
         for row in rows:
-            here = at[row["arm"]], when[row["period"]]
-            self.y[here], self.s[here] = row["change"], row["std"]
-            self.baseline[here] = row["baseline"]
-            for name in _COVARIATES:
-                self.x[name][here] = row[name]
+            for name, values in self.x.items():
+                values[at[row["arm"]], when[row["period"]]] = row[name]
+        self.y, self.s, self.baseline = map(self.x.pop, names[:3])
         self.many = len(self.arms) >= SHARED
 
     def remove_common(self) -> None:
@@ -152,11 +150,8 @@ class Series:
     ) -> Iterator[State]:
         """The state of every arm.
 
-        Args:
-            group: Name of the group of arms.
-            freedom: Degrees of freedom of each arm's standard deviations, shape (A,).
-            limit: Score of an alarm.
-            limits: Largest change of each parameter, by arm.
+        The standard deviations have some degrees of freedom, shape (A,); ``limit`` is
+        the score of an alarm, and ``limits`` are the largest changes, by arm.
         """
         found = []
         for k in range(len(self.arms)):

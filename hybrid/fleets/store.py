@@ -97,9 +97,7 @@ def run_plan(
             todo.append((unit, _message(unit), baseline.text))
         else:
             found += rows
-    answered = answers(client, iter(todo), plan.time_limit)
-    for done, (unit, content) in enumerate(answered, 1):
-        progress(f"{done:,} of {len(todo):,} periods", done / len(todo))
+    for unit, content in _answered(client, todo, plan, progress, "periods"):
         failed = content.get("failed", "")
         rows = (
             _failed(unit, failed, content["reason"])
@@ -110,6 +108,16 @@ def run_plan(
             store.put((_late_unit(unit, plan) if failed == LATE else unit).key, rows)
         found += rows
     return sorted(found, key=lambda x: [str(x[name] or "") for name in _TEXT])
+
+
+def _answered(
+    client: Client, todo: list[Any], plan: Plan, progress: Progress, what: str
+) -> Iterator[tuple[Unit, dict[str, Any]]]:
+    """Units and their answers as they arrive."""
+    answered = answers(client, iter(todo), plan.time_limit)
+    for done, (unit, content) in enumerate(answered, 1):
+        progress(f"{done:,} of {len(todo):,} {what}", done / len(todo))
+        yield unit, content
 
 
 def _late_unit(unit: Unit, plan: Plan) -> Unit:
@@ -126,8 +134,7 @@ def _failed(unit: Unit, failed: str, reason: str) -> list[dict[str, Any]]:
 
 def _labelled(unit: Unit, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     own = {"arm": unit.arm, "period": unit.period, "day": unit.day}
-    blank = dict.fromkeys((*_TEXT, *_NUMBERS))
-    return [{**blank, **row, **own} for row in rows]
+    return [{**dict.fromkeys((*_TEXT, *_NUMBERS)), **row, **own} for row in rows]
 
 
 def _message(unit: Unit) -> dict[str, Any]:
@@ -144,11 +151,8 @@ def _units(
     for arm in plan.arms:
         # A baseline from the arm's own logs contains its payload.
         payload = arm.payload if arm.baseline.endswith(".json") else ()
-        common = {
-            "baseline": known[arm.name].key,
-            "payload": list(payload),
-            "map": arm.map,
-        }
+        baseline = known[arm.name]
+        common = {"baseline": baseline.key, "payload": list(payload), "map": arm.map}
         tasks: list[dict[str, Any]] = [
             {"task": "period", "track": list(plan.track), "tool": list(arm.tool)}
         ]
@@ -157,8 +161,8 @@ def _units(
         for period, own in logs[arm.name].items():
             states = tuple((path, state) for _, path, state in own)
             for task in tasks:
-                unit = Unit(arm.name, period, min(own)[0], states, common | task)
-                yield unit, known[arm.name]
+                entry = common | task
+                yield Unit(arm.name, period, min(own)[0], states, entry), baseline
 
 
 def _baselines(
@@ -183,9 +187,7 @@ def _baselines(
             todo.append((unit, message, None))
         else:
             found[arm.name] = _baseline_from(unit.key, content)
-    answered = answers(client, iter(todo), plan.time_limit)
-    for done, (unit, content) in enumerate(answered, 1):
-        progress(f"{done:,} of {len(todo):,} baselines", done / len(todo))
+    for unit, content in _answered(client, todo, plan, progress, "baselines"):
         if "failed" not in content:
             store.put_baseline(unit.key, content)
         found[unit.arm] = _baseline_from(unit.key, content)

@@ -65,18 +65,8 @@ def _period(
     message: Mapping[str, Any], model: DynamicModel, logs: Sequence[Recording]
 ) -> Iterator[dict[str, Any]]:
     """Rows of the parameters of one arm in one period."""
-    found = deviations(model, logs, message["track"], message["tool"])
-    places = {joint: k for k, joint in enumerate(model.robot.joints)}
-    for row in found.rows:
-        at = places.get(row.joint)
-        here = slice(None) if at is None else slice(at, at + 1)
-        yield {
-            "status": OK,
-            **vars(row),
-            "temperature": float(found.temperature[here].mean()),
-            "load": float(found.load[here].mean()),
-            "residual": float(found.residual[here].mean()),
-        }
+    for row in deviations(model, logs, message["track"], message["tool"]):
+        yield {"status": OK, **vars(row)}
 
 
 def _diagnosis(

@@ -29,11 +29,7 @@ _children: dict[tuple[int, str], Child] = {}  # by thread and module
 
 
 class Child:
-    """A process that answers one question at a time.
-
-    Args:
-        module: Module that it runs.
-    """
+    """A process that runs a module and answers one question at a time."""
 
     def __init__(self, module: str) -> None:
         self.process = subprocess.Popen(
@@ -48,14 +44,10 @@ class Child:
         self._read(_START)
 
     def ask(self, question: str, limit: float) -> dict[str, Any]:
-        """The answer to a question.
-
-        Args:
-            question: One line.
-            limit: Longest time, [s].
+        """The answer to a question of one line.
 
         Raises:
-            TimeoutError: It took longer.
+            TimeoutError: It took longer than ``limit``, [s].
             EOFError: The child died.
         """
         assert self.process.stdin
@@ -92,11 +84,8 @@ def ask(
 ) -> dict[str, Any]:
     """The answer of this thread's child; a timeout or death is an answer too.
 
-    Args:
-        message: See :func:`hybrid.fleets.unit.answer`.
-        model: Text of the baseline.
-        limit: Longest time, [s].
-        module: Module that the child runs.
+    The message is one of :func:`hybrid.fleets.unit.answer`, the model the text of the
+    baseline, and the limit the longest time, [s].
     """
     question, reason = json.dumps({**message, "model": model}), ""
     own = threading.get_ident(), module

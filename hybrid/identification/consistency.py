@@ -27,10 +27,11 @@ from hybrid.dynamics.pseudo_inertia import (
 )
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem
+from hybrid.robot.chain import Chain
 
-# Curvatures are relative to the largest one.
-_UNSEEN = 1e-12  # curvature that is rounding error
-_WEAKEST_PULL = 1e-11  # curvature that holds unseen directions at the nominal links
+# Curvature, over the largest, that holds unseen directions at the nominal links.
+_WEAKEST_PULL = 1e-11
+_MARGIN = 1e-4  # smallest pseudo-inertia, as a share of the nominal one
 _MOST_LOSS = 4.0  # largest loss for nominal links, as a multiple of the least loss
 _SMALLEST_SCALE = 1e-5  # smallest curvature of a link that the solver can handle
 
@@ -53,22 +54,16 @@ class Consistent:
     converged: bool
 
 
-def physically_consistent(
-    problem: Problem,
-    A: Array,
-    b: Array,
-    *,
-    nominal: Array | None = None,
-    margin: float = 1e-4,
-) -> Consistent:
+def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
     """The physically consistent links and gains that fit the data best.
 
     Minimises ½ θᵀAθ − bᵀθ for the unknowns θ of the links and gains, while every
-    pseudo-inertia stays above ``margin`` times the nominal one and every gain above
-    ``problem.lower``. Directions that the data do not determine stay at the nominal
-    links. So do directions that the data determine weakly, as long as the loss stays
-    below four times the least loss: the true links are consistent, so they have at
-    least that one.
+    pseudo-inertia stays above a small share of the nominal one, that of the chain, and
+    every gain above ``problem.lower``. A nominal link that is not consistent is
+    replaced by a body of its size. Directions that the data do not determine stay at
+    the nominal links. So do directions that the data determine weakly, as long as the
+    loss stays below four times the least loss: the true links are consistent, so they
+    have at least that one.
 
     Gains that were dropped from the unknowns are 0; the links include them (the
     inertia of the first rotor is in Izz of the first link).
@@ -77,9 +72,6 @@ def physically_consistent(
         problem: The unknowns.
         A: Normal matrix, shape (p, p).
         b: Right side, shape (p,).
-        nominal: Nominal link parameters, shape (n, 10); those of the chain by default.
-            A link that is not consistent is replaced by a body of its size.
-        margin: Smallest pseudo-inertia, as a share of the nominal one, above 0.
 
     Raises:
         IdentificationError: The normal equations are zero or not finite, or the solver
@@ -89,95 +81,56 @@ def physically_consistent(
         raise IdentificationError(
             "the normal equations are zero or not finite; there is nothing to fit"
         )
-    program = _program(problem, A, b, nominal, margin)
-    least = program.solve(_WEAKEST_PULL)
+    n = problem.chain.size
+    unknowns = [u for u, column in enumerate(problem.base.kept) if column >= 10 * n]
+    gains = [problem.base.kept[u] for u in unknowns]
+    mapping = problem.base.mapping[:, [*range(10 * n), *gains]]
+    frame, size = _frame(problem.chain, mapping, A)
+    ones = np.concatenate([np.tile(stacked(np.eye(4)), n), np.zeros(len(gains))])
+    floor = np.concatenate([_MARGIN * ones[: 10 * n], problem.lower[unknowns]])
+    K = mapping @ frame
+    values, directions = eigh(K.T @ A @ K)
+    curvature = values / values[-1]
+    along, seen = directions.T @ (K.T @ b), curvature > _WEAKEST_PULL
+    optimum = np.divide(along, values, out=np.zeros_like(along), where=seen)
+    rest = directions.T @ (ones * size)
+    best = mapping @ (frame @ (directions @ optimum))
+    explained = max(float(best @ A @ best), 1e-300)
+
+    def solution(pull: float) -> Consistent:
+        """The consistent links; directions of curvature below ``pull`` are nominal."""
+        used = curvature > pull
+        target = directions @ np.where(used, optimum, rest)
+        metric = (directions * np.where(used, curvature, pull)) @ directions.T
+        z, converged = nearest_above(target, metric, floor * size, n)
+        links = frame @ z
+        theta = mapping @ links
+        change = theta - best
+        loss = max(float(change @ A @ change) / explained, 0.0)
+        return Consistent(links[: 10 * n].reshape(-1, 10), theta, loss, converged)
+
+    least = solution(_WEAKEST_PULL)
     pull = least.loss
     while pull > _WEAKEST_PULL:
-        found = program.solve(pull)
+        found = solution(pull)
         if found.loss <= _MOST_LOSS * least.loss:
             return found
         pull /= 4
     return least
 
 
-@dataclass(frozen=True)
-class _Program:
-    """The semidefinite program in scaled coordinates z of links, then gains.
+def _frame(chain: Chain, mapping: Array, A: Array) -> tuple[Array, Array]:
+    """Map from scaled coordinates to links and gains, and the scale of each coordinate.
 
     Ten coordinates are the stacked pseudo-inertia of a link, in the frame in which the
-    nominal one is the identity. Each link and each gain is scaled to a mean curvature
-    of 1, so that a light wrist counts as much as a heavy shoulder.
-
-    Attributes:
-        links: Number of links n.
-        mapping: Maps links and kept gains to the unknowns θ, shape (p, z).
-        frame: Maps coordinates to links and kept gains, shape (z, z).
-        A: Normal matrix for θ, shape (p, p).
-        curvature: Eigenvalues of the data's curvature over the largest, shape (z,).
-        directions: Eigenvectors, in columns, shape (z, z).
-        optimum: Unconstrained optimum along each eigenvector, 0 where unseen.
-        nominal: The nominal links, without gains, along each eigenvector.
-        least: Lower bound of the coordinates: of a link as a matrix, of a gain as a
-            number.
+    nominal one is the identity; then come the gains. Each link and each gain is scaled
+    to a mean curvature of 1, so that a light wrist counts as much as a heavy shoulder.
     """
-
-    links: int
-    mapping: Array
-    frame: Array
-    A: Array
-    curvature: Array
-    directions: Array
-    optimum: Array
-    nominal: Array
-    least: Array
-
-    def solve(self, pull: float) -> Consistent:
-        """The consistent links; directions of curvature below ``pull`` are nominal."""
-        seen = self.curvature > max(pull, _UNSEEN)
-        target = self.directions @ np.where(seen, self.optimum, self.nominal)
-        curvature = np.where(seen, self.curvature, pull)
-        metric = (self.directions * curvature) @ self.directions.T
-        z, converged = nearest_above(target, metric, self.least, self.links)
-        standard = self.frame @ z
-        theta = self.mapping @ standard
-        best = self.mapping @ (self.frame @ (self.directions @ self.optimum))
-        change, explained = theta - best, float(best @ self.A @ best)
-        loss = float(change @ self.A @ change) / max(explained, 1e-300)
-        inertial = standard[: 10 * self.links].reshape(-1, 10)
-        return Consistent(inertial, theta, max(loss, 0.0), converged)
-
-
-def _program(
-    problem: Problem, A: Array, b: Array, nominal: Array | None, margin: float
-) -> _Program:
-    n = problem.chain.size
-    bodies = nominal_bodies(
-        problem.chain, problem.chain.inertial if nominal is None else nominal
-    )
-    unknowns = [u for u, column in enumerate(problem.base.kept) if column >= 10 * n]
-    gains = [problem.base.kept[u] for u in unknowns]
-    mapping = problem.base.mapping[:, [*range(10 * n), *gains]]
+    bodies = nominal_bodies(chain, chain.inertial)
     frames = [inertial_per_stacked(root) for root in np.linalg.cholesky(bodies)]
-    frame = block_diag(*frames, np.eye(len(gains)))
-    size = _sizes(np.diag(frame.T @ mapping.T @ A @ mapping @ frame), n)
-    frame /= size
-    K = mapping @ frame
-    values, directions = eigh(K.T @ A @ K)
-    seen = values > _UNSEEN * values[-1]
-    along = directions.T @ (K.T @ b)
-    ones = np.concatenate([np.tile(stacked(np.eye(4)), n), np.zeros(len(gains))])
-    floor = np.concatenate([margin * ones[: 10 * n], problem.lower[unknowns]])
-    return _Program(
-        links=n,
-        mapping=mapping,
-        frame=frame,
-        A=A,
-        curvature=values / values[-1],
-        directions=directions,
-        optimum=np.where(seen, along / np.where(seen, values, 1.0), 0.0),
-        nominal=directions.T @ (ones * size),
-        least=floor * size,
-    )
+    frame = block_diag(*frames, np.eye(mapping.shape[1] - 10 * chain.size))
+    size = _sizes(np.diag(frame.T @ mapping.T @ A @ mapping @ frame), chain.size)
+    return frame / size, size
 
 
 def _sizes(curvature: Array, n: int) -> Array:

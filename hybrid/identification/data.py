@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.dynamics import RigidBody
-from hybrid.effects import Effect, Scale
+from hybrid.effects import Scale
 from hybrid.errors import RecordingError
-from hybrid.regression.cross_products import (
-    Chunks,
-    CrossProducts,
-    Sums,
-    accumulate,
-    sampled_chunks,
-)
-from hybrid.regression.problem import Problem, part
-from hybrid.regression.rows import Rows
-from hybrid.signals import (
-    Motion,
-    Sampler,
-)
+from hybrid.regression.cross_products import CrossProducts, accumulate, chunks_along
+from hybrid.regression.problem import Problem
+from hybrid.signals import Motion, Sampler
 
 _FEWEST_BLOCKS = 48  # over which the gain of a term is averaged
-_CACHE_SIZE = 2**28  # bytes
 
 
 @dataclass(frozen=True)
@@ -50,15 +37,6 @@ class Data:
     folds: tuple[NDArray[np.intp], ...]
     cutoff: float
     standing: Array
-    _cache: dict[tuple[Any, ...], Array] = field(
-        default_factory=dict, repr=False, compare=False
-    )
-    _bodies: dict[tuple[int, int, int], RigidBody] = field(
-        default_factory=dict, repr=False, compare=False
-    )
-    _last: list[Sums] = field(
-        default_factory=list, repr=False, compare=False, init=False
-    )
 
     def __post_init__(self) -> None:
         check_torque(self.motions)
@@ -70,108 +48,36 @@ class Data:
         pairs = zip(self.motions, known, strict=True)
         return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
 
-    def products(
-        self, problem: Problem, others: Sequence[Effect] = ()
-    ) -> CrossProducts:
-        """Cross-products of a problem on these motions; see :func:`accumulate`.
-
-        Args:
-            problem: The unknowns.
-            others: Effects that a later problem may have; its sums are then there.
-        """
-        if not (self._last and self._last[0].cover(problem)):
-            self._last[:] = [
-                accumulate(
-                    problem.rows.beside((*problem.effects, *others)),
-                    self.motions,
-                    cutoff=self.cutoff,
-                    standing=self.standing,
-                    folds=self.folds,
-                    blocks=self.blocks,
-                    chunks=self.chunks,
-                )
-            ]
-        return self._last[0].of(problem)
-
-    def chunks(self, rows: Rows, motion: Motion, total: int | None = None) -> Chunks:
-        """Rows along a motion; see :func:`sampled_chunks`.
-
-        Link rows are the same for all rows whose effects do not change signals, so they
-        are cached.
-        """
-        sampler = Sampler.for_rate(motion.rate, self.cutoff)
-        total = len(motion.t) if total is None else total
-
-        def full(here: slice) -> Array:
-            some = part(motion, here)
-            if rows.changes_signals:
-                return rows.along(some)
-            at = here.start, here.stop
-            links = self.cached(("raw", *at), motion, lambda: rows.link_columns(some))
-            body = self._bodies.get((id(motion.q), *at))
-            if body is None or not np.array_equal(body.inertial, rows.inertial):
-                body = RigidBody(rows.chain, some, rows.inertial)
-                self._bodies[id(motion.q), *at] = body
-            return rows.along(some, links, body)
-
-        def filtered(here: slice, full: Array) -> Array:
-            if rows.changes_signals:
-                return sampler(full, axis=1)
-            known = self.cached(
-                ("filtered", here.start, here.stop),
-                motion,
-                lambda: np.concatenate(
-                    [sampler(full[x], axis=1) for x, _ in rows.parts]
-                ),
-            )
-            links, others = (np.r_[x] for x in zip(*rows.parts, strict=True))
-            out = np.empty((len(full), known.shape[1]))
-            out[links], out[others] = known, sampler(full[others], axis=1)
-            return out
-
-        return sampled_chunks(full, total, sampler, filtered)
-
-    def cached(
-        self, key: tuple[Any, ...], motion: Motion, make: Callable[[], Array]
-    ) -> Array:
-        """A value that depends on the motion but not on its torque, computed once."""
-        key = *key, id(motion.q)  # the array lives as long as these data
-        found = self._cache[key] if key in self._cache else make()
-        if sum(x.nbytes for x in self._cache.values()) < _CACHE_SIZE:
-            self._cache[key] = found
-        return found
+    def products(self, problem: Problem) -> CrossProducts:
+        """Cross-products of a problem on these motions; see :func:`accumulate`."""
+        return accumulate(
+            problem,
+            self.motions,
+            cutoff=self.cutoff,
+            standing=self.standing,
+            folds=self.folds,
+            blocks=self.blocks,
+        )
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
-        """Residual of each sample by the solution without its fold.
-
-        Args:
-            problem: The linear problem.
-            theta: Solutions without each fold, shape (F, p).
-
-        Returns:
-            Unfiltered torque, shape (N, n) for each motion, [N·m].
-        """
+        """Residual (N, n) of each motion, [N·m], by the solutions without each fold."""
         found = []
         for motion, fold in zip(self.motions, self.folds, strict=True):
             residual = np.empty_like(motion.tau)
-            factor = Sampler.for_rate(motion.rate, self.cutoff).factor
-            for first, _, D in self.chunks(problem.rows, motion):
-                here = slice(first * factor, first * factor + D.shape[1])
-                parts = np.split(D, problem.rows.offsets[1:-1])
+            sampler = Sampler.for_rate(motion.rate, self.cutoff)
+            for first, _, D in chunks_along(problem, motion, sampler):
+                start = first * sampler.factor
+                here = slice(start, start + D.shape[1])
+                parts = np.split(D, problem.offsets[1:-1])
                 for i, own in enumerate(parts):
-                    support = problem.support[i]
-                    known = theta[:, support] @ own[:-1]
+                    known = theta[:, problem.support[i]] @ own[:-1]
                     known = np.take_along_axis(known, fold[None, here], axis=0)[0]
                     residual[here, i] = own[-1] - known
             found.append(residual)
         return found
 
     def squares(self, residual: Sequence[Array]) -> Array:
-        """Squares of the moving joints in each block, shape (B, n), [N²·m²].
-
-        Args:
-            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
-        """
+        """Squares of a residual in each block, where joints move, (B, n), [N²·m²]."""
         label = np.concatenate(self.blocks)
         moves = np.concatenate([self.moves(m) for m in self.motions])
         squares = np.where(moves, np.concatenate(residual), 0.0) ** 2
@@ -198,9 +104,8 @@ class Data:
     def scales(self) -> list[Scale]:
         """Highest torque and speed of every joint in the data."""
         each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
-        torque = np.max(each, axis=0)
-        pairs = zip(torque, self.visited["v_max"], strict=True)
-        return [Scale(max(float(x), 1e-12), max(float(y), 1e-12)) for x, y in pairs]
+        highest = np.maximum([np.max(each, axis=0), self.visited["v_max"]], 1e-12)
+        return [Scale(*x) for x in highest.T.tolist()]
 
     @cached_property
     def visited(self) -> dict[str, Array]:
@@ -219,19 +124,13 @@ class Data:
         return np.asarray(moves & motion.mask[:, None])
 
     def decimated(self, residual: Sequence[Array]) -> Residual:
-        """A residual filtered and decimated, all motions concatenated.
-
-        Args:
-            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
-        """
+        """A residual (N, n) of each motion, [N·m], filtered, decimated and joined."""
         parts = []
         for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
             sampler = Sampler.for_rate(motion.rate, self.cutoff)
             few = slice(None, None, sampler.factor)
-            moves = self.moves(motion)
-            parts.append(
-                (motion.q[few], motion.v[few], sampler(tau), moves[few], fold[few])
-            )
+            moves = self.moves(motion)[few]
+            parts.append((motion.q[few], motion.v[few], sampler(tau), moves, fold[few]))
         return Residual(*(np.concatenate(x) for x in zip(*parts, strict=True)))
 
 

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
@@ -24,7 +23,6 @@ from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.identification.data import Data
-from hybrid.regression.cross_products import sampled_chunks
 from hybrid.signals import Sampler
 
 _THRESHOLDS = 16
@@ -65,23 +63,13 @@ def _maps() -> Array:
 
 
 def _columns(v: Array, fastest: float) -> Array:
-    """Hat functions of each direction, then powers of speed; shape (2K + 3, N).
-
-    Args:
-        v: Speed, shape (N,), [rad/s].
-        fastest: The highest, [rad/s].
-    """
-    speed, sign, knots = abs(v), np.sign(v), fastest * _knots()
-    at = np.clip(np.searchsorted(knots, speed) - 1, 0, len(knots) - 2)
-    share = np.clip((speed - knots[at]) / np.diff(knots)[at], 0.0, 1.0)
-    count, samples = len(knots), np.arange(len(speed))
-    out = np.zeros((2 * count + _SMOOTH, len(speed)))
-    row = at + np.where(v < 0, count, 0)
-    out[row, samples] = sign * (1.0 - share)
-    out[row + 1, samples] = sign * share
-    for k in range(1, _SMOOTH + 1):
-        out[2 * count + k - 1] = sign * speed**k
-    return out
+    """Hat functions of each direction, then powers of speed; shape (2K + 3, N)."""
+    speed, knots = abs(v), fastest * _knots()
+    hats = np.array([np.interp(speed, knots, x) for x in np.eye(len(knots))])
+    powers = speed ** np.arange(1, _SMOOTH + 1)[:, None]
+    return np.asarray(
+        np.sign(v) * np.concatenate([hats * (v > 0), hats * (v < 0), powers])
+    )
 
 
 def fit_friction(
@@ -127,16 +115,9 @@ def _products(
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
         moves = sampler.keep(data.moves(motion)[:, joint])
         own, v = sampler.keep(fold)[moves], motion.v[:, joint]
-
-        def columns(
-            v: Array = v, sampler: Sampler = sampler, moves: NDArray[np.bool_] = moves
-        ) -> Array:
-            chunks = sampled_chunks(lambda x: _columns(v[x], fastest), len(v), sampler)
-            return np.concatenate([D for _, D, _ in chunks], axis=1)[:, moves]
-
-        known = data.cached(("friction", joint), motion, columns)
         new[0] = np.abs(new[0]) * np.sign(v)
-        rows = np.concatenate([known, sampler(np.stack(new), axis=1)[:, moves]])
+        columns = np.concatenate([_columns(v, fastest), new])
+        rows = sampler(columns, axis=1)[:, moves]
         for k in np.unique(own):
             part = rows[:, own == k]
             sums[k] += part @ part.T
@@ -154,8 +135,7 @@ def _canonical(values: dict[str, float]) -> dict[str, float]:
 def held_out(sums: Array) -> Array:
     """Held-out squares of non-negative coefficients, summed over folds, shape (...).
 
-    Args:
-        sums: Cross-products of columns and torque, last, shape (..., F, k + 1, k + 1).
+    The sums are those of columns and torque of each fold, (..., F, k + 1, k + 1).
     """
     theta = _nonnegative(sums.sum(axis=-3, keepdims=True) - sums)
     left = np.concatenate([-theta, np.ones_like(theta[..., :1])], axis=-1)
@@ -164,11 +144,7 @@ def held_out(sums: Array) -> Array:
 
 
 def _nonnegative(sums: Array) -> Array:
-    """Non-negative least-squares coefficients, shape (..., k).
-
-    Args:
-        sums: Cross-products of columns and torque, last, shape (..., k + 1, k + 1).
-    """
+    """Non-negative least-squares coefficients, shape (..., k)."""
     G, c = sums[..., :-1, :-1], sums[..., :-1, -1]
     size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1), 1e-300))
     values, vectors = np.linalg.eigh(G / size[..., None] / size[..., None, :])

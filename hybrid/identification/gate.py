@@ -27,8 +27,8 @@ def lowers(before: Array, after: Array, *, tried: int = 1) -> NDArray[np.bool_]:
 
     Args:
         before: Squares of each block without the term, shape (B, n), [N²·m²].
-        after: Squares of each block with the term, shape (B, n), [N²·m²].
-        tried: Number of terms of which this one is the best.
+        after: The same with the term, which is the best of those ``tried``.
+        tried: Their number.
     """
     gain = before - after
     error = np.sqrt(((gain - gain.mean(axis=0)) ** 2).sum(axis=0))

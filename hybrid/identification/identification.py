@@ -31,12 +31,12 @@ from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import with_accepted
 from hybrid.identification.preparation import linear_effects
 from hybrid.identification.remainder import Learned, fit_remainder
-from hybrid.identification.ripple import JUDGED, Waves, find_ripples, in_band
+from hybrid.identification.ripple import JUDGED, find_ripples, in_band
 from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.intervals import condition_number
-from hybrid.regression.least_squares import Estimator, without_folds
+from hybrid.regression.least_squares import Estimator
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -122,9 +122,9 @@ class Identification:
 
     def ripple_stage(self) -> None:
         """Fit torque ripple, which repeats with position."""
-        before, waves = self.best, Waves()
+        before = self.best
         for _ in range(_MOST_ROUNDS):
-            new = find_ripples(self.data, self.best, waves)
+            new = find_ripples(self.data, self.best)
             # At all speeds of the log, or only at speeds whose ripple is below the
             # cut-off.
             limit = partial(in_band, cutoff=self.data.cutoff)
@@ -174,27 +174,18 @@ class Identification:
         """Make the links physically consistent, and learn the remainder again."""
         free, before = self.best, self.squares
         self._record_stage(free, self.remainder)
-
-        def optimum(A: Array, b: Array) -> Array:
-            return physically_consistent(free.problem, A, b).theta
-
-        products, weighted = free.products, free.weighted
-        sums = products.weighted_total(weighted.share)
-        A, b = products.normal(weighted.weight, sums)
-        found = physically_consistent(free.problem, A, b)
-        theta = without_folds(
-            products,
-            weighted.weight,
-            optimum=optimum,
-            share=weighted.share,
-        )
+        problem, weighted = free.problem, free.weighted
+        products = free.products.shared(weighted.share)
+        found = physically_consistent(problem, *products.normal(weighted.weight))
+        each = zip(*products.without_folds(weighted.weight), strict=True)
+        theta = np.array([physically_consistent(problem, A, b).theta for A, b in each])
         self.settled &= found.converged
         self._adopt(
             replace(
                 free,
                 weighted=replace(weighted, theta=found.theta),
                 theta=theta,
-                squares=products.held_out_squares(theta),
+                squares=free.products.held_out_squares(theta),
                 inertial=found.inertial,
             )
         )
@@ -249,13 +240,12 @@ class Identification:
         total = self.solver.total(self.squares)
         ratio = np.sqrt(total / np.maximum(self.solver.total(file), 1e-300))
         if np.log(np.maximum(ratio, 1e-300)).mean() > _WORSE:
-            more = ", ".join(dict.fromkeys(e.id for e in self.extra))
+            own = ", ".join(dict.fromkeys(e.id for e in self.extra))
+            more = f", without {own} or of more motion" if own else ""
             raise IdentificationError(
                 "the model predicts unseen torque worse than the robot file does "
                 f"(by {ratio.mean() - 1:.0%} on the mean of the joints); valid are "
-                "logs of this arm whose columns, units and clock are right"
-                + f", without {more} or of more motion"
-                * bool(more)
+                f"logs of this arm whose columns, units and clock are right{more}"
             )
         rise = np.sqrt(total / self.solver.base) - 1.0
         for j in np.flatnonzero(rise > _COSTLY):
@@ -303,14 +293,13 @@ class Identification:
         tried: int = 1,
     ) -> Solution:
         """The start with the terms that pass the gate, unless it is better without."""
-        offered = [e for at in options for effects in at.values() for e in effects]
 
         def fitted(at: Mapping[int, list[Effect]]) -> Solution:
             effects = self._with_candidates(start, at)
-            return self.solver.with_effects(start, effects, others=offered)
+            return self.solver.with_effects(start, effects)
 
         found = with_accepted(start, options, fitted, tried=tried)
-        return min(start, found, key=lambda x: self.solver.cost(x.squares))
+        return self.solver.least([start, found])
 
     def _with_candidates(
         self, start: Solution, at: Mapping[int, list[Effect]]

@@ -4,18 +4,16 @@ A new column may be nearly collinear with others: a slow ripple looks like gravi
 its gain is found together with all other terms at all joints. That needs cross-products
 only, so many columns can be tried.
 
-Source: Frisch and Waugh 1933, doi 10.2307/1907330; Liang and Zeger 1986,
-doi 10.1093/biomet/73.1.13 (noise that is correlated within blocks).
+Source: Liang and Zeger 1986, doi 10.1093/biomet/73.1.13 (noise that is correlated
+within blocks).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.special import fdtri
 
 from hybrid.arrays import Array
@@ -42,13 +40,7 @@ class PartialRegression:
 
     @classmethod
     def of(cls, solution: Solution, joint: int, rows: Array) -> PartialRegression:
-        """The regression about the values of a solution.
-
-        Args:
-            solution: The present terms of all joints.
-            joint: The joint that a new column acts on.
-            rows: Its columns, then the residual of the solution, shape (d + 1, M).
-        """
+        """The regression about a solution, of columns, then residual, (d + 1, M)."""
         products, theta = solution.products, solution.weighted.theta
         variance = np.diag(solution.sigma)
         weight = np.diag(variance[joint] / np.maximum(variance, 1e-300))
@@ -64,7 +56,7 @@ class PartialRegression:
         return replace(
             self,
             others=(
-                np.array([block_diag(x, np.zeros((2, 2))) for x in A]),
+                np.pad(A, ((0, 0), (0, 2), (0, 2))),
                 np.pad(b, ((0, 0), (0, 2))),
             ),
             support=np.append(self.support, [size, size + 1]),
@@ -72,131 +64,84 @@ class PartialRegression:
             residual=self.residual - self._fitted(wave)[0] @ wave,
         )
 
-    def _fitted(self, wave: Array) -> tuple[Array, Array, Array, Array]:
-        """Gains of a pair of columns with all other terms fitted again.
-
-        Returns:
-            Gains, shape (2,), the pair orthogonalised to the other columns, shape
-            (2, M), the normal matrix of the gains, and the residual, shape (M,).
-        """
-        S, theta, coupling = self._alone
-        projection = wave @ self.columns.T @ S
-        orthogonal = wave - projection @ self.columns
-        H = orthogonal @ wave.T + _ridge(wave @ wave.T)
-        before = self.residual - theta @ self.columns
-        gains: Array = np.asarray(
-            np.linalg.solve(H, orthogonal @ before - projection @ coupling)
-        )
-        return gains, orthogonal, H, before - gains @ orthogonal
-
-    @cached_property
-    def _alone(self) -> tuple[Array, Array, Array]:
-        D, y = self.columns, self.residual
-        return self._inverse(np.ones(len(self.others[0])), D @ D.T, D @ y)
-
-    def _inverse(self, chosen: Array, P: Array, h: Array) -> tuple[Array, Array, Array]:
-        """The regression without new columns.
-
-        Args:
-            chosen: One for each fold of the other joints to use, else zero, shape (F,).
-            P: Normal matrix of this joint's columns, shape (d, d).
-            h: Its right side, shape (d,).
-
-        Returns:
-            Inverse normal matrix and optimum of this joint's unknowns, and the gradient
-            of the other joints there.
-        """
-        A, b = (np.tensordot(chosen, x, axes=1) for x in self.others)
-        normal, moment = A.copy(), b.copy()
-        normal[np.ix_(self.support, self.support)] += P
-        moment[self.support] += h
-        unit = np.eye(len(b))[:, self.support]
-        found = pseudo_solve(normal, np.column_stack([unit, moment]))
-        inverse, theta = found[self.support, :-1], found[:, -1]
-        return inverse, theta[self.support], (b - A @ theta)[self.support]
-
     def cross_validated(
         self, waves: Array, fold: NDArray[np.intp]
     ) -> tuple[Array, Array]:
-        """Squared residuals on each fold by a fit on the other folds.
-
-        Args:
-            waves: Pairs of columns, shape (K, 2, M).
-            fold: Fold of each sample, shape (M,).
+        """Squared residuals on each fold by a fit on the other folds, [N²·m²].
 
         Returns:
-            Squares without a new pair, shape (F,), and with each, shape (K, F),
-            [N²·m²].
+            Squares without a new pair, shape (F,), and with each of K, shape (K, F).
         """
-        folds = len(self.others[0])
-        parts = [
-            _Sums.of(waves, self.columns, self.residual, fold == k)
-            for k in range(folds)
-        ]
-        whole = [sum(x) for x in zip(*(vars(p).values() for p in parts), strict=True)]
-        before, after = [], []
-        for k, held in enumerate(parts):
-            pairs = zip(whole, vars(held).values(), strict=True)
-            B, G, c, P, h, _ = (x - y for x, y in pairs)
-            S, theta, _ = self._inverse(1.0 * (np.arange(folds) != k), P, h)
-            SB = S @ B.transpose(0, 2, 1)  # (K, d, 2)
-            H = G - B @ SB + _ridge(G)
-            gains = np.linalg.solve(H, (c - B @ theta)[..., None])
-            before.append(held.squares(theta, np.zeros(2))[0])
-            after.append(held.squares(theta - (SB @ gains)[..., 0], gains[..., 0]))
-        return np.array(before), np.stack(after, axis=1)
+        folds, d = len(self.others[0]), len(self.columns)
+        every = np.concatenate([self.columns, *waves, self.residual[None]])
+        parts = [every[:, fold == k] for k in range(folds)]
+        sums = np.array([x @ x.T for x in parts])
+        pairs = [[], *([first, first + 1] for first in range(d, len(every) - 1, 2))]
+        found = []
+        for pair in pairs:
+            rows = [*range(d), *pair, len(every) - 1]
+            own = sums[:, rows][:, :, rows]
+            rest = own.sum(axis=0) - own
+            for k in range(folds):
+                N, h, at = self._normal(rest[k], np.arange(folds) != k)
+                c = np.append(-pseudo_solve(N, h)[at], 1.0)
+                found.append(c @ own[k] @ c)
+        before, *after = np.reshape(found, (-1, folds))
+        return before, np.array(after)
 
     def is_significant(
         self, wave: Array, block: NDArray[np.intp], chance: float
     ) -> bool:
         """F-test: whether the gains of a pair of columns differ from zero.
 
-        Args:
-            wave: Pair of columns, shape (2, M).
-            block: Block of each sample, shape (M,); noise may be correlated within one.
-            chance: Probability that noise alone passes.
+        Noise may be correlated within a block; it passes with a probability ``chance``.
         """
-        gains, orthogonal, H, rest = self._fitted(wave)
+        gains, inverse, slopes, rest = self._fitted(wave)
+        if _ridge(wave @ wave.T) * np.linalg.norm(inverse, 2) > 0.5:
+            return False  # collinear with the other terms
         _, label = np.unique(block, return_inverse=True)
-        scores = np.array([np.bincount(label, weights=x * rest) for x in orthogonal])
+        scores = np.array([np.bincount(label, weights=x * rest) for x in slopes])
         count = scores.shape[1]
-        covariance = scores @ scores.T * count / max(count - 1, 1)
-        if np.linalg.matrix_rank(covariance, hermitian=True) < len(covariance):
-            return False  # too few blocks, or collinear with the other terms
-        ratio = (H @ gains) @ np.linalg.solve(covariance, H @ gains) / 2
-        return bool(ratio > fdtri(2, max(count - 2, 1), 1 - chance))
+        if count <= 2:
+            return False
+        covariance = scores @ scores.T * count / (count - 1)
+        ratio = gains @ np.linalg.solve(covariance, gains) / 2
+        return bool(ratio > fdtri(2, count - 2, 1 - chance))
+
+    def _fitted(self, wave: Array) -> tuple[Array, Array, Array, Array]:
+        """Gains of a pair of columns with all other terms fitted again.
+
+        Returns:
+            Gains, shape (2,), their block of the inverse normal matrix, their change by
+            the torque of each sample, shape (2, M), and the residual, shape (M,).
+        """
+        rows = np.concatenate([self.columns, wave, self.residual[None]])
+        N, h, at = self._normal(rows @ rows.T, np.ones(len(self.others[0])))
+        pair = np.eye(len(h))[:, -2:]
+        theta, *inverse = pseudo_solve(N, np.column_stack([h, pair]))[at].T
+        slopes = np.array(inverse) @ rows[:-1]
+        residual = rows[-1] - theta @ rows[:-1]
+        return theta[-2:], np.array(inverse)[:, -2:], slopes, residual
+
+    def _normal(
+        self, sums: Array, chosen: Array
+    ) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Normal matrix and right side of all joints, and where this joint is in them.
+
+        The sums are those of its columns, a new pair or none, and its residual; folds
+        of the other joints are used as ``chosen``, shape (F,).
+        """
+        A, b = (np.tensordot(chosen, x, axes=1) for x in self.others)
+        new = len(sums) - len(self.columns) - 1
+        normal, moment = np.pad(A, (0, new)), np.pad(b, (0, new))
+        at = np.append(self.support, len(b) + np.arange(new))
+        normal[np.ix_(at, at)] += sums[:-1, :-1]
+        moment[at] += sums[:-1, -1]
+        if new:
+            normal[-2:, -2:] += _ridge(sums[-3:-1, -3:-1]) * np.eye(2)
+        return normal, moment, at
 
 
-@dataclass(frozen=True)
-class _Sums:
-    """Cross-products of pairs w, columns D and residual y on some samples."""
-
-    B: Array  # w Dᵀ, shape (K, 2, d)
-    G: Array  # w wᵀ, shape (K, 2, 2)
-    c: Array  # w y, shape (K, 2)
-    P: Array  # D Dᵀ, shape (d, d)
-    h: Array  # D y, shape (d,)
-    power: float  # y y
-
-    @classmethod
-    def of(cls, waves: Array, D: Array, y: Array, use: NDArray[np.bool_]) -> _Sums:
-        w, D, y = waves[:, :, use], D[:, use], y[use]
-        B = (w.reshape(2 * len(w), len(y)) @ D.T).reshape(*w.shape[:2], len(D))
-        G, c = w @ w.transpose(0, 2, 1), w @ y
-        return cls(B, G, c, D @ D.T, D @ y, float(y @ y))
-
-    def squares(self, theta: Array, gains: Array) -> Array:
-        """Squared residuals of terms (K or 1, d) and gains (K or 1, 2)."""
-        theta, gains = np.atleast_2d(theta), np.atleast_2d(gains)
-        residual = (
-            self.power - 2 * (theta @ self.h) + ((theta @ self.P) * theta).sum(axis=1)
-        )
-        wave = -2 * self.c + 2 * (self.B @ theta[:, :, None])[..., 0]
-        wave = wave + (self.G @ gains[:, :, None])[..., 0]
-        return np.asarray(residual + (wave * gains).sum(axis=1))
-
-
-def _ridge(G: Array) -> Array:
-    """A small multiple of the power, which keeps collinear pairs solvable."""
-    power = np.trace(G, axis1=-2, axis2=-1)[..., None, None]
-    return np.asarray((1e-6 * power + 1e-12) * np.eye(2))
+def _ridge(G: Array) -> float:
+    """A small share of the power of a pair, with which a collinear one is solvable."""
+    return float(1e-6 * np.trace(G) + 1e-12)

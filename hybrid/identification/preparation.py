@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +27,7 @@ from hybrid.recording import Recording
 from hybrid.regression.least_squares import OUTLYING, solve_weighted, without_folds
 from hybrid.regression.problem import build_problem, part
 from hybrid.robot import Robot
-from hybrid.signals import (
-    Motion,
-    Sampler,
-    SpeedCheck,
-    choose_cutoff,
-    motion_from_recording,
-    speed_against_position,
-)
+from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
 
 _FOLDS = 4  # of cross-validation
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
@@ -92,9 +84,7 @@ def log_hash(log: Recording | Motion) -> str:
 
 
 def motions_from_logs(
-    logs: Sequence[Recording | Motion],
-    cutoff: float | None,
-    speeds: Sequence[SpeedCheck | None] = (),
+    logs: Sequence[Recording | Motion], cutoff: float | None
 ) -> tuple[list[Motion], float]:
     """Filter and differentiate checked logs; see :func:`prepare_motions`."""
     if cutoff is None:
@@ -107,10 +97,10 @@ def motions_from_logs(
             f"more for a recording of {shortest:.3g} s"
         )
     motions = [
-        motion_from_recording(x, cutoff=_POSITION_CUTOFF * cutoff, speed=speed)
+        motion_from_recording(x, cutoff=_POSITION_CUTOFF * cutoff)
         if isinstance(x, Recording)
         else x
-        for x, speed in zip_longest(logs, speeds)
+        for x in logs
     ]
     return motions, cutoff
 
@@ -120,7 +110,6 @@ def prepare(
     cutoff: float | None,
     *,
     highest: float | None = None,
-    speeds: Sequence[SpeedCheck | None] = (),
 ) -> Data:
     """Data of a fit, with cross-validation folds.
 
@@ -132,12 +121,11 @@ def prepare(
         logs: Checked logs, see :func:`checked_logs`, or motions made from them.
         cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
         highest: Cut-off for which motions are decimated, [Hz]; ``cutoff`` by default.
-        speeds: Check of the measured speed of each log, if it was done before.
 
     Raises:
         IdentificationError: Every sample is masked, or the cut-off is too low.
     """
-    motions, cutoff = motions_from_logs(logs, cutoff, speeds)
+    motions, cutoff = motions_from_logs(logs, cutoff)
     motions = [decimated_motion(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
@@ -157,14 +145,10 @@ def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]
 
 
 def decimated_motion(motion: Motion, cutoff: float) -> Motion:
-    """Decimate a motion to about twelve samples in a period of the cut-off.
+    """Decimate a motion to about twelve samples in a period of the cut-off, [Hz].
 
     Positions are filtered at twice the cut-off, so they lose nothing. The torque loses
     what is above five times the cut-off.
-
-    Args:
-        motion: Motion at its full rate.
-        cutoff: Cut-off of columns and torque, [Hz]; inf keeps every sample.
     """
     factor = int(motion.rate / (_WORKING_RATE * cutoff))
     if factor < 2:
@@ -205,10 +189,7 @@ def prepare_at_best_cutoff(
     the friction which it hides may be worth.
     """
     problem = build_problem(robot.chain, (*linear_effects(robot), *extra))
-    speeds = [
-        speed_against_position(x) if isinstance(x, Recording) else None for x in logs
-    ]
-    best = data = prepare(logs, None, speeds=speeds)
+    best = data = prepare(logs, None)
     highest, least = best.cutoff, np.inf
     if not any(isinstance(x, Recording) for x in logs):
         return best
@@ -218,7 +199,7 @@ def prepare_at_best_cutoff(
         if cutoff * shortest < FEWEST_PERIODS * data.fold_count:
             break
         if halvings:
-            data = prepare(logs, cutoff, highest=highest, speeds=speeds)
+            data = prepare(logs, cutoff, highest=highest)
         products = data.products(problem)
         found = solve_weighted(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, share=found.share)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,15 +76,15 @@ def fit_remainder(
         inputs = _best_inputs(residual, joint, candidates)
         if inputs is None:
             continue
-        fitting = _Fitting(residual, joint, inputs, float(limits[joint]), seed)
-        predicted = fitting.cross_validated(data)
-        if predicted is None:
+        fit = partial(_part, residual, joint, inputs, float(limits[joint]), seed)
+        predicted, components = _cross_validated(data, residual, joint, inputs, fit)
+        if components is None:
             continue
         corrected = [x.copy() for x in held_out]
         for x, known in zip(corrected, predicted, strict=True):
             x[:, joint] -= known
         if lowers(before, data.squares(corrected), tried=len(candidates))[joint]:
-            parts.append(fitting.part(None))
+            parts.append(JointRemainder(joint, *inputs, fit(None, components)))
             for x, known in zip(cross, predicted, strict=True):
                 x[:, joint] = known
     after = data.squares([x - y for x, y in zip(held_out, cross, strict=True)])
@@ -98,15 +99,15 @@ def _best_inputs(
     y, fold = residual.tau[use, joint], residual.fold[use]
     best, chosen = (1 - _LEAST_FALL) * float(y @ y), None
     for inputs in candidates:
-        error = _ridge_error(_inputs(residual, inputs)[use], y, fold)
+        error = _ridge_error(_inputs(residual.q, residual.v, inputs)[use], y, fold)
         if error < best:
             best, chosen = error, inputs
     return chosen
 
 
-def _inputs(residual: Residual, inputs: Inputs) -> Array:
+def _inputs(q: Array, v: Array, inputs: Inputs) -> Array:
     positions, speeds = inputs
-    return np.concatenate([residual.q[:, positions], residual.v[:, speeds]], axis=1)
+    return np.concatenate([q[:, positions], v[:, speeds]], axis=1)
 
 
 def _ridge_error(x: Array, y: Array, fold: NDArray[np.intp]) -> float:
@@ -138,59 +139,57 @@ def _candidates(joint: int, n: int) -> list[Inputs]:
     return [(own, own), (near, own), (own, near)]
 
 
-@dataclass
-class _Fitting:
-    """Fits the remainder of one joint.
+def _cross_validated(
+    data: Data,
+    residual: Residual,
+    joint: int,
+    inputs: Inputs,
+    fit: Callable[[int, int | None], GaussianMixtureRegression],
+) -> tuple[list[Array], int | None]:
+    """Torque at each sample by a regression without its fold.
 
-    Attributes:
-        residual: Residual of all joints.
-        joint: The joint.
-        inputs: Inputs of the regression.
-        bound: Largest learned torque, [N·m].
-        seed: Seed of the initial values.
-        components: Number of mixture components, which the first fit selects.
+    Returns:
+        The torque, shape (N,) for each motion, and the number of components, which the
+        first fold selects; None if the samples are too few.
     """
+    fold, moving = residual.fold, residual.moving[:, joint]
+    predicted, components = [np.zeros(len(m.t)) for m in data.motions], None
+    for k in np.unique(fold).tolist():
+        seen, held = (moving & (fold != k)).sum(), (moving & (fold == k)).sum()
+        if min(seen, 4 * held) < _FEWEST_SAMPLES:
+            return predicted, None
+        regression = fit(k, components)
+        components = regression.components
+        for x, motion, own in zip(predicted, data.motions, data.folds, strict=True):
+            here = own == k
+            if here.any():
+                at = _inputs(motion.q[here], motion.v[here], inputs)
+                x[here] = regression.predict(at)[:, 0]
+    return predicted, components
 
-    residual: Residual
-    joint: int
-    inputs: Inputs
-    bound: float
-    seed: int
-    components: int | None = None
 
-    def cross_validated(self, data: Data) -> list[Array] | None:
-        """Torque at each sample by a regression without its fold; None if too few."""
-        fold, moving = self.residual.fold, self.residual.moving[:, self.joint]
-        predicted = [np.zeros(len(m.t)) for m in data.motions]
-        for k in np.unique(fold):
-            seen, held = (moving & (fold != k)).sum(), (moving & (fold == k)).sum()
-            if min(seen, 4 * held) < _FEWEST_SAMPLES:
-                return None
-            part = self.part(int(k))
-            for x, motion, own in zip(predicted, data.motions, data.folds, strict=True):
-                here = own == k
-                if here.any():
-                    at = part.inputs(motion.q[here], motion.v[here])
-                    x[here] = part.regression.predict(at)[:, 0]
-        return predicted
-
-    def part(self, left_out: int | None) -> JointRemainder:
-        """Fit on all folds but one, which selects the number of components at first."""
-        residual = self.residual
-        x, y = _inputs(residual, self.inputs), residual.tau[:, self.joint, None]
-        moving = residual.moving[:, self.joint]
-        scoring = moving & (residual.fold == left_out)
-        fitting = moving & ~scoring
-        choose = self.components is None and bool(scoring.any())
-        regression = GaussianMixtureRegression.fit(
-            x[fitting],
-            y[fitting],
-            components=self.components,
-            candidates=_COMPONENTS,
-            validation=(x[scoring], y[scoring]) if choose else None,
-            bound=min(self.bound, float(np.abs(y[fitting]).max())),
-            max_samples=_MOST_SAMPLES if scoring.any() else 20_000,
-            seed=self.seed,
-        )
-        self.components = regression.components
-        return JointRemainder(self.joint, *self.inputs, regression)
+def _part(
+    residual: Residual,
+    joint: int,
+    inputs: Inputs,
+    bound: float,
+    seed: int,
+    left_out: int | None,
+    components: int | None,
+) -> GaussianMixtureRegression:
+    """Fit on all folds but one, which selects the components if they are not given."""
+    x, y = _inputs(residual.q, residual.v, inputs), residual.tau[:, joint, None]
+    moving = residual.moving[:, joint]
+    scoring = moving & (residual.fold == left_out)
+    fitting = moving & ~scoring
+    choose = components is None and bool(scoring.any())
+    return GaussianMixtureRegression.fit(
+        x[fitting],
+        y[fitting],
+        components=components,
+        candidates=_COMPONENTS,
+        validation=(x[scoring], y[scoring]) if choose else None,
+        bound=min(bound, float(np.abs(y[fitting]).max())),
+        max_samples=_MOST_SAMPLES if scoring.any() else 20_000,
+        seed=seed,
+    )

@@ -20,8 +20,9 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification.data import Data
 from hybrid.identification.partial_regression import PartialRegression
 from hybrid.identification.solution import Solution
+from hybrid.regression.cross_products import chunks_along
 from hybrid.regression.problem import part
-from hybrid.signals import Motion, Sampler, butterworth_gain
+from hybrid.signals import Sampler, butterworth_gain
 
 _MOST_PERIODS = 400  # in a turn
 _MOST_RIPPLES = 4  # of a joint
@@ -36,15 +37,9 @@ _BLOCK_SECONDS = 1.0  # distance at which samples count as independent
 _MOST_SECONDS = 120.0  # of data to search; gains are then fitted to all data
 
 
-# (motion, joint, periods) -> filtered sine and cosine of a ripple, shape (2, M).
-Waves = dict[tuple[int, int, int], Array]
-
-
-def find_ripples(
-    data: Data, solution: Solution, waves: Waves
-) -> dict[int, list[Effect]]:
+def find_ripples(data: Data, solution: Solution) -> dict[int, list[Effect]]:
     """Ripples of each joint that lower its held-out error, strongest first."""
-    pieces = enumerate(_pieces(data, solution, waves))
+    pieces = enumerate(_pieces(data, solution))
     found = {j: _ripples(j, own, solution, data.cutoff) for j, own in pieces}
     return {j: ripples for j, ripples in found.items() if ripples}
 
@@ -56,12 +51,11 @@ def _ripples(
     terms = PartialRegression.of(solution, joint, rows)
     fold = np.concatenate([p.fold for p in pieces])
     block = np.concatenate([1000 * r + p.block for r, p in enumerate(pieces)])
+    ends = np.cumsum([len(p.fold) for p in pieces])
     chance = _FALSE_ALARMS / _MOST_PERIODS
     found: list[Effect] = []
     while len(found) < _MOST_RIPPLES:
-        residual = np.split(
-            terms.residual, np.cumsum([p.rows.shape[1] for p in pieces])[:-1]
-        )
+        residual = np.split(terms.residual, ends[:-1])
         periods = _best_orders(pieces, residual, cutoff)
         if not len(periods):
             break
@@ -69,10 +63,8 @@ def _ripples(
         waves = np.concatenate([p.waves(ripples) for p in pieces], axis=2)
         before, after = terms.cross_validated(waves, fold)
         best = int(after.sum(axis=1).argmin())
-        if not (
-            after[best].sum() < before.sum()
-            and terms.is_significant(waves[best], block, chance)
-        ):
+        lower = after[best].sum() < before.sum()
+        if not (lower and terms.is_significant(waves[best], block, chance)):
             break
         terms = terms.with_wave(waves[best])
         found.append(ripples[best])
@@ -90,48 +82,29 @@ class _Piece:
     """Moving samples of a joint in one motion.
 
     Attributes:
-        number: Index of the motion.
-        motion: The motion.
-        joint: The joint.
+        q: Positions of the joint at the full rate, shape (N,), [rad].
+        v: Its speeds, shape (N,), [rad/s].
         sampler: Filter and decimation.
         use: Which of the decimated samples are used: the M moving ones.
         rows: Columns of the joint, then the residual of the solution, (d + 1, M).
         fold: Fold of each sample, shape (M,).
         block: Block in time of each sample, shape (M,).
-        cache: Filtered columns computed before.
     """
 
-    number: int
-    motion: Motion
-    joint: int
+    q: Array
+    v: Array
     sampler: Sampler
     use: NDArray[np.bool_]
     rows: Array
     fold: NDArray[np.intp]
     block: NDArray[np.intp]
-    cache: Waves
-
-    @property
-    def q(self) -> Array:
-        """Position, shape (N,), [rad]."""
-        return self.motion.q[:, self.joint]
-
-    @property
-    def v(self) -> Array:
-        """Speed, shape (N,), [rad/s]."""
-        return self.motion.v[:, self.joint]
 
     def waves(self, ripples: Sequence[Effect]) -> Array:
         """Filtered sine and cosine of K ripples, shape (K, 2, M)."""
         zero = np.zeros_like(self.q)
         state = JointState(zero, self.q, self.v, zero, zero, zero)
-        keys = [(self.number, self.joint, int(x.values["periods"])) for x in ripples]
-        new = {k: x for k, x in zip(keys, ripples, strict=True) if k not in self.cache}
-        if new:
-            pairs = [TorqueRipple.law(state, **x.shape_values) for x in new.values()]
-            made = self.sampler(np.array(pairs), axis=2)[:, :, self.use]
-            self.cache.update(zip(new, made, strict=True))
-        return np.stack([self.cache[k] for k in keys])
+        pairs = [TorqueRipple.law(state, **x.shape_values) for x in ripples]
+        return self.sampler(np.array(pairs), axis=2)[:, :, self.use]
 
     def refiltered(self, residual: Array) -> Array:
         """A residual at the rate of the motion, filtered again, shape (N,)."""
@@ -141,37 +114,24 @@ class _Piece:
         return replace(self.sampler, factor=1)(full)
 
 
-def _pieces(data: Data, solution: Solution, waves: Waves) -> list[list[_Piece]]:
+def _pieces(data: Data, solution: Solution) -> list[list[_Piece]]:
     """The moving samples of every motion, for each joint."""
     problem, theta = solution.problem, solution.weighted.theta
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
     found: list[list[_Piece]] = [[] for _ in range(problem.chain.size)]
-    for r, (motion, fold) in enumerate(zip(data.motions, data.folds, strict=True)):
+    for motion, fold in zip(data.motions, data.folds, strict=True):
         sampler = Sampler.for_rate(motion.rate, data.cutoff)
-        total = int(min(1.0, share) * len(motion.t))
-        chunks = data.chunks(problem.rows, motion, total)
+        short = part(motion, slice(0, int(min(1.0, share) * len(motion.t))))
+        chunks = chunks_along(problem, short, sampler)
         whole = np.concatenate([D for _, D, _ in chunks], axis=1)
-        short, few = part(motion, slice(0, total)), slice(0, total, sampler.factor)
-        block = ((motion.t[few] - motion.t[0]) // _BLOCK_SECONDS).astype(int)
-        moves = data.moves(motion)[few]
-        for joint, own in enumerate(found):
-            use = moves[:, joint]
-            first, stop = problem.rows.offsets[joint : joint + 2]
-            rows = whole[first:stop, use]
+        block = ((sampler.keep(short.t) - motion.t[0]) // _BLOCK_SECONDS).astype(int)
+        own, moves = sampler.keep(fold[: len(short.t)]), sampler.keep(data.moves(short))
+        for joint, every in enumerate(np.split(whole, problem.offsets[1:-1])):
+            q, v, use = short.q[:, joint], short.v[:, joint], moves[:, joint]
+            rows = every[:, use]
             rows[-1] -= theta[problem.support[joint]] @ rows[:-1]
-            own.append(
-                _Piece(
-                    r,
-                    short,
-                    joint,
-                    sampler,
-                    use,
-                    rows,
-                    fold[few][use],
-                    block[use],
-                    waves,
-                )  # fmt: skip
-            )
+            piece = _Piece(q, v, sampler, use, rows, own[use], block[use])
+            found[joint].append(piece)
     return found
 
 
@@ -179,7 +139,7 @@ def _ripple(
     joint: int, periods: int, pieces: Sequence[_Piece], cutoff: float
 ) -> TorqueRipple:
     """A ripple that acts up to the highest speed that the sampling rate can resolve."""
-    rate = min(p.motion.rate for p in pieces)
+    rate = min(p.sampler.rate for p in pieces)
     fastest = max(float(np.abs(p.v).max()) for p in pieces)
     # Above this speed the samples would alias.
     shown = 2 * np.pi * max(rate / 2 - cutoff, cutoff) / periods
@@ -192,15 +152,14 @@ def _best_orders(
 ) -> NDArray[np.intp]:
     """Orders that explain most alone, of those in band, and the slow ones in band."""
     periods = np.arange(1, _MOST_PERIODS + 1)
-    spectrum, seen, samples = np.zeros(_MOST_PERIODS), np.zeros(_MOST_PERIODS), 0
-    total = np.zeros(_BINS)
+    seen, total, samples = np.zeros(_MOST_PERIODS), np.zeros(_BINS), 0
     for piece, x in zip(pieces, residual, strict=True):
         at = np.floor(piece.q / (2 * np.pi) * _BINS).astype(int) % _BINS
         total += np.bincount(at, weights=piece.refiltered(x), minlength=_BINS)
         speed = np.abs(piece.v[:: piece.sampler.factor][piece.use])
         count, edges = np.histogram(speed, bins=_SPEED_BINS)
         frequency = periods[:, None] * (edges[1:] + edges[:-1]) / (4 * np.pi)
-        gain = butterworth_gain(frequency, rate=piece.motion.rate, cutoff=cutoff)
+        gain = butterworth_gain(frequency, rate=piece.sampler.rate, cutoff=cutoff)
         seen += gain**2 @ count
         samples += len(speed)
     spectrum = np.abs(np.fft.rfft(total)[1 : _MOST_PERIODS + 1]) ** 2

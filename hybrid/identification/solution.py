@@ -60,12 +60,9 @@ class Solution:
         that the data have set to zero are unknowns here, so that the covariance
         includes the uncertainty of that choice.
         """
-        whole = self.problem.complete()
+        complete = self.data.products(self.problem.complete())
         found = with_uncertainty(
-            self.products,
-            self.weighted,
-            prior=self.prior,
-            complete=self.products.source.of(whole),
+            self.products, self.weighted, prior=self.prior, complete=complete
         )
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)
@@ -92,13 +89,7 @@ class Solution:
         *,
         sure: bool = True,
     ) -> DynamicModel:
-        """The terms as a model.
-
-        Args:
-            robot: The arm.
-            remainder: The learned remainder.
-            sure: Whether gains get their standard deviations.
-        """
+        """The terms as a model; gains have standard deviations if it is ``sure``."""
         base, effects = self.problem.fitted(self.weighted.theta)
         std: list[dict[str, float]] = [{} for _ in effects]
         for unknown, e, g in self.problem.gains if sure else ():

@@ -11,7 +11,8 @@ rule of one standard error).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -53,13 +54,10 @@ class Solver:
     def plain(self, problem: Problem) -> dict[Estimator, Solution]:
         """Solutions by every estimator, without prior and bounds.
 
-        The better of the first two at each joint becomes the reference of
-        :meth:`cost`.
+        The better of the first two at each joint is the reference of :meth:`cost`.
         """
-        data, products = self._data, self._data.products(problem)
-        found = {
-            x: self._solution(data, products, x, bounded=False) for x in ESTIMATORS
-        }
+        solution = partial(self._solution, self._data, self._data.products(problem))
+        found = {x: solution(x, bounded=False) for x in ESTIMATORS}
         ls, wls = (found[x].squares for x in ESTIMATORS[:2])
         self.reference = np.where(self.total(ls) < self.total(wls), ls, wls)
         return found
@@ -93,15 +91,10 @@ class Solver:
         start: Solution,
         effects: Sequence[Effect],
         known: Sequence[Array] | None = None,
-        others: Sequence[Effect] = (),
     ) -> Solution:
-        """The best solution with other effects.
+        """The best solution with other effects, at the links of ``start``.
 
-        Args:
-            start: Solution whose links give the transmitted torque.
-            effects: Effects; their shapes are fixed.
-            known: Torque to subtract first, shape (N, n) for each motion, [N·m].
-            others: Effects that a later call from this start may have.
+        A known torque, shape (N, n) for each motion, [N·m], is subtracted first.
         """
         # Gains that the friction fit has set to zero stay zero, because the columns of
         # falling and rising friction are collinear.
@@ -117,26 +110,20 @@ class Solver:
             inertial=start.problem.rigid_inertial(start.weighted.theta),
             without=without,
         )
-        others = (*start.problem.effects, *with_zero_gains(others))
-        return self.best(problem, known, others, start.strength)
+        return self.best(problem, known, start.strength)
 
     def best(
         self,
         problem: Problem,
         known: Sequence[Array] | None = None,
-        others: Sequence[Effect] = (),
         near: float | None = None,
     ) -> Solution:
         """The solution of least cost over estimators and strengths of the prior.
 
-        Args:
-            problem: The unknowns.
-            known: Torque to subtract first, shape (N, n) for each motion, [N·m].
-            others: Effects that a later problem may have.
-            near: A strength whose neighbours alone are tried; all by default.
+        Only the neighbours of a strength ``near`` are tried, if there is one.
         """
         data = self._data.minus(known)
-        products = data.products(problem, others)
+        solution = partial(self._solution, data, data.products(problem))
         file = file_prior(problem, self._robot, self._data.scales)
         tried: Sequence[float] = _STRENGTHS if file is not None else (0.0,)
         if near is not None:
@@ -144,18 +131,9 @@ class Solver:
             tried = tried[max(at - 1, 0) : at + 2]
         # First choose the strength with weighted least squares, then the estimator.
         middle = self._estimators[min(1, len(self._estimators) - 1)]
-        best = min(
-            (self._solution(data, products, middle, file, x) for x in tried),
-            key=lambda x: self.cost(x.squares),
-        )
+        best = self.least(solution(middle, file, x) for x in tried)
         last = [x for x in self._estimators if x != middle]
-        return min(
-            [
-                best,
-                *(self._solution(data, products, x, file, best.strength) for x in last),
-            ],
-            key=lambda x: self.cost(x.squares),
-        )
+        return self.least([best, *(solution(x, file, best.strength) for x in last)])
 
     def _solution(
         self,
@@ -172,14 +150,14 @@ class Solver:
             products, estimator, bounded=bounded, robust=self._robust, prior=prior
         )
         theta = without_folds(
-            products,
-            found.weight,
-            bounded=bounded,
-            prior=prior,
-            share=found.share,
+            products, found.weight, bounded=bounded, prior=prior, share=found.share
         )
         squares = products.held_out_squares(theta)
         return Solution(data, products, found, prior, theta, squares, strength)
+
+    def least(self, solutions: Iterable[Solution]) -> Solution:
+        """The first solution of least cost."""
+        return min(solutions, key=lambda x: self.cost(x.squares))
 
     def cost(self, squares: Array, harm: float = _HARM) -> float:
         """Mean log of the held-out RMS over plain LS, with a penalty on each rise."""

@@ -139,18 +139,18 @@ def validate(
     slowest = model.standing if standing is None else standing
     if not np.size(slowest):  # a model that was not identified
         slowest = STANDING * fastest(motions)
-    moving = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
-    count = np.sum([x.sum(axis=0) for x in moving], axis=0)
+    each = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
+    moving = np.concatenate(each)
+    count = moving.sum(axis=0)
 
     def rms(residual: Sequence[Array]) -> Array:
-        pairs = zip(moving, residual, strict=True)
-        squares = np.sum([(np.where(x, y, 0.0) ** 2).sum(0) for x, y in pairs], axis=0)
-        return np.asarray(np.sqrt(squares / np.maximum(count, 1)))
+        squares = np.where(moving, np.concatenate(residual), 0.0) ** 2
+        return np.asarray(np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)))
 
     size = np.maximum(rms([m.tau for m in motions]), 1e-300)
     rows = []
-    for name, each in {**model.simpler, model.stage: model}.items():
-        error = rms([m.tau - each.predict(m) for m in motions])
+    for name, one in {**model.simpler, model.stage: model}.items():
+        error = rms([m.tau - one.predict(m) for m in motions])
         rows.append(ValidationRow(name, error, error / size))
     return Validation(
         robot=model.robot.name,

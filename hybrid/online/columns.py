@@ -1,32 +1,24 @@
-"""Regression columns of rigid body and effects at some instants, in small tasks."""
+"""Regression columns of rigid body and effects at some instants, in small steps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterator
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody, regressor_law
-from hybrid.errors import IdentificationError
-from hybrid.online.laws import STEP, IndexedEffect, InstantLaws
+from hybrid.online.laws import STEP, InstantLaws
 from hybrid.online.layout import PAYLOAD, RowLayout
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-_TOGETHER = 2  # instants in a rigid-body task, which then takes as long as the others
+_TOGETHER = 2  # instants in a rigid-body step, which then takes as long as the others
 
 
 class InstantColumns:
-    """Derivatives of the torque by all unknowns at B instants.
-
-    After :meth:`begin`, each task writes its part of ``rows``, shape (B, P).
-
-    Raises:
-        IdentificationError: An effect changes signals instead of adding torque.
-    """
+    """Derivatives of the torque by all unknowns at B instants, in ``rows`` (B, P)."""
 
     def __init__(
         self, robot: Robot, problem: Problem, layout: RowLayout, instants: int
@@ -34,21 +26,29 @@ class InstantColumns:
         self._problem, self._layout = problem, layout
         self.rows = np.zeros((instants, len(layout.joints)))
         self._find_rigid(robot)
-        self._laws = InstantLaws(_indexed(problem), layout)
-        self.tasks: list[Callable[[], None]] = [
-            *(partial(self._fill_rigid, k) for k in range(0, instants, _TOGETHER)),
-            *(partial(self._fill_laws, k) for k in range(instants)),
-            *([self._fill_others] if self._laws.others else []),
-        ]
+        self._laws = InstantLaws(problem.effects, layout)
 
-    def begin(self, states: tuple[Array, Array, Array, Array], theta: Array) -> None:
-        """Set the instants that the tasks work on.
+    def fill(
+        self, states: tuple[Array, Array, Array, Array], theta: Array
+    ) -> Iterator[None]:
+        """Write the derivatives to ``rows``, in steps.
 
-        Args:
-            states: Time (B,), [s], position (B, n), [rad], speed and acceleration.
-            theta: Unknowns that give shapes and load, shape (d,).
+        States are time (B,), [s], position (B, n), [rad], speed and acceleration; the
+        unknowns (d,) give shapes and load.
         """
-        self._states, self._theta = states, theta
+        motion = np.concatenate(states[1:], axis=1).tolist()
+        for k, row in enumerate(self.rows):
+            row[self._targets] = self._regressor.at(motion[k])
+            if k % _TOGETHER == _TOGETHER - 1 or k == len(self.rows) - 1:
+                yield
+        laws = self._laws
+        for row, t, q, v, a in zip(self.rows, *states, strict=True):
+            load = (row[self._inertial] * theta[self._base]) @ self._of_joint
+            row[laws.places] = laws(t, q, v, a, load, theta)
+            yield
+        if laws.others:
+            self._fill_others(states, theta)
+            yield
 
     def _find_rigid(self, robot: Robot) -> None:
         """Find the regressor entries that are needed, and their places in a row."""
@@ -63,36 +63,26 @@ class InstantColumns:
         self._regressor = regressor_law(robot.chain, tuple(entries))
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
-    def _fill_rigid(self, first: int) -> None:
-        """Write the rigid body at some instants, beginning with one."""
-        together = slice(first, first + _TOGETHER)
-        motion = np.concatenate([x[together] for x in self._states[1:]], axis=1)
-        for row, state in zip(self.rows[together], motion.tolist(), strict=True):
-            row[self._targets] = self._regressor.at(state)
-
-    def _fill_laws(self, k: int) -> None:
-        """Write the laws of single joints at one instant."""
-        (t, q, v, a), theta = (x[k] for x in self._states), self._theta
-        row, laws = self.rows[k], self._laws
-        load = (row[self._inertial] * theta[self._base]) @ self._of_joint
-        row[laws.places] = laws(t, q, v, a, load, theta)
-
-    def _fill_others(self) -> None:
+    def _fill_others(
+        self, states: tuple[Array, Array, Array, Array], theta: Array
+    ) -> None:
         """Write the effects that depend on several joints; slower."""
-        t, q, v, a = self._states
-        motion = Motion(t, q, v, a, 0 * q, np.ones(len(t), dtype=bool))
+        t, q, *_ = states
+        motion = Motion(*states, 0 * q, np.ones(len(t), dtype=bool))
         body = RigidBody(self._problem.chain, motion, self._problem.inertial)
-        for own in self._laws.others:
-            self._fill_other(own, motion, body)
+        for e in self._laws.others:
+            self._fill_other(e, motion, body, theta)
 
-    def _fill_other(self, own: IndexedEffect, motion: Motion, body: RigidBody) -> None:
-        theta, joints = self._theta, own.effect.reaches(motion.q.shape[1])
-        names = [s.name for s in own.effect.shapes]
-        values = theta[own.shapes].tolist()
-        here = own.effect.at(dict(zip(names, values, strict=True)))
+    def _fill_other(
+        self, e: int, motion: Motion, body: RigidBody, theta: Array
+    ) -> None:
+        effect, own = self._problem.effects[e], self._layout.gains[e]
+        shapes, joints = self._layout.shapes[e], effect.reaches(motion.q.shape[1])
+        names, values = [s.name for s in effect.shapes], theta[shapes].tolist()
+        here = effect.at(dict(zip(names, values, strict=True)))
         columns = here.columns(motion, body)  # (B, r, p)
-        known = [g for g, unknown in enumerate(own.gains) if unknown >= 0]
-        gains = theta[[own.gains[g] for g in known]]
+        known = [g for g, unknown in enumerate(own) if unknown >= 0]
+        gains = theta[[own[g] for g in known]]
 
         def write(unknown: int, torque: Array) -> None:
             for joint, x in zip(joints, torque.T, strict=True):
@@ -101,27 +91,10 @@ class InstantColumns:
                     self.rows[:, place] = x
 
         for g in known:
-            write(own.gains[g], columns[:, :, g])
-        for unknown, x, s in zip(own.shapes, values, own.effect.shapes, strict=True):
+            write(own[g], columns[:, :, g])
+        for unknown, x, s in zip(shapes, values, effect.shapes, strict=True):
             if self._layout.place(joints[0], unknown) >= 0:
                 step = STEP * max(abs(x), STEP)
                 step = -step if x - step >= s.lower else step
                 moved = here.at({s.name: x + step}).columns(motion, body)
                 write(unknown, (moved - columns)[:, :, known] @ gains / step)
-
-
-def _indexed(problem: Problem) -> list[IndexedEffect]:
-    """The effects with the indices of their gains and shapes among the unknowns."""
-    unknowns = {(e, g): u for u, e, g in problem.gains}
-    first, found = problem.size, []
-    for e, effect in enumerate(problem.effects):
-        if effect.changes_signals:
-            raise IdentificationError(
-                f"{effect.id} changes signals and cannot be tracked sample by sample; "
-                "valid are effects that add torque"
-            )
-        gains = [unknowns.get((e, g), -1) for g in range(len(effect.gains))]
-        shapes = list(range(first, first + len(effect.shapes)))
-        first += len(effect.shapes)
-        found.append(IndexedEffect(effect, gains, shapes))
-    return found

@@ -4,16 +4,16 @@ Source: Ljung and Söderström 1983, "Theory and Practice of Recursive Identific
 (extended least squares); see also ``square_root.py`` and ``payload_change.py``.
 
 Samples are processed in blocks. While a block fills, each call does a part of the work
-of the previous block, so no call takes long: about ten microseconds a task, and a few
+of the previous block, so no call takes long: about ten microseconds a step, and a few
 tenths of a millisecond for the call that detects a payload. At low rates a block has a
 few samples, and without a cut-off one, so a call does more of the work.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice
 
 import numpy as np
 
@@ -29,9 +29,8 @@ from hybrid.online.initial_estimate import REACH, InitialEstimate, payload_sizes
 from hybrid.online.intake import Intake, Sample
 from hybrid.online.layout import RowLayout
 from hybrid.online.noise import TorqueNoise
-from hybrid.online.payload_change import Change, PayloadChange, likely_payload
+from hybrid.online.payload_change import Change, PayloadChange
 from hybrid.online.pipeline import Pipeline
-from hybrid.online.square_root import SquareRootFilter
 from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
@@ -95,6 +94,11 @@ class OnlineIdentifier:
     ) -> None:
         if not (rate > 0 and cutoff > 0 and memory > 0 and prior > 0):
             raise IdentificationError("rate, cutoff, memory and prior must be above 0")
+        for effect in (e for e in effects if e.changes_signals):
+            raise IdentificationError(
+                f"{effect.id} changes signals and cannot be tracked sample by sample; "
+                "valid are effects that add torque"
+            )
         self.robot, self.rate = robot, rate
         own = robot.chain.inertial if inertial is None else inertial
         problem = build_problem(robot.chain, effects, inertial=own)
@@ -113,20 +117,20 @@ class OnlineIdentifier:
         self._layout = RowLayout(self.problem, shape_prior > 0)
         self._columns = InstantColumns(robot, self.problem, self._layout, rows)
         updates, size = rate / self._block, len(start.theta)
-        self._payload_sizes = payload_sizes(_PAYLOAD)
         self._estimate = OnlineEstimate(
-            SquareRootFilter(start.theta, start.root),
-            bounds=start.bounds(),
-            gains=problem.size,
-            payload=start.payload_directions(self._payload_sizes),
+            start,
+            self._layout,
+            sizes=payload_sizes(_PAYLOAD),
             noise=TorqueNoise(usual[0] if noise is None else noise, updates),
             detector=PayloadChange(rate=updates, mass=_PAYLOAD, reach=REACH),
             forgetting=1.0 - min(0.5, size / robot.size / (memory * updates)),
             mixing=_SETTLING / cutoff,
         )
-        self._started, self._phase = False, self._block
-        self._intake: Intake
+        self._intake: Intake | None = None
         self._pipeline: Pipeline
+        # Work on the last block: its calls, its steps, and those of the longest block.
+        self._work: Iterator[None] = iter(())
+        self._calls, self._done, self._steps = self._block, 0, self._block
         self._change: Change | None = None
         self.changes: list[Change] = []
 
@@ -157,7 +161,7 @@ class OnlineIdentifier:
     @property
     def health(self) -> Health:
         """Counts of accepted and rejected samples, and their rate."""
-        return self._intake.health if self._started else Health(stated_rate=self.rate)
+        return self._intake.health if self._intake else Health(stated_rate=self.rate)
 
     @property
     def error(self) -> Array:
@@ -190,21 +194,18 @@ class OnlineIdentifier:
             where = "arm" if effect.scope == "arm" else where
             names += [f"{effect.id}.{s.name}[{where}]" for s in effect.shapes]
             units += [s.unit for s in effect.shapes]
-        values = (self._estimate.filter.mean, *self._estimate.bounds)
-        rows = zip(
-            names, *(x.tolist() for x in values), units, self.std.tolist(), strict=True
-        )
-        return tuple(Parameter(*row) for row in rows)
+        values = (self._estimate.filter.mean, *self._estimate.bounds, self.std)
+        value, lower, upper, std = (x.tolist() for x in values)
+        return tuple(map(Parameter, names, value, lower, upper, units, std))
 
     @property
     def model(self) -> DynamicModel:
         """The model with the present values."""
         p = self.problem.size
         base, effects = self.problem.fitted(self._estimate.filter.mean[:p])
-        shapes, changed = iter(self._estimate.filter.mean[p:].tolist()), []
-        for effect in effects:
-            changed.append(effect.at({s.name: next(shapes) for s in effect.shapes}))
-        return DynamicModel(self.robot, base, tuple(changed), standing=self._standing)
+        shapes = iter(self._estimate.filter.mean[p:].tolist())
+        found = tuple(e.at({s.name: next(shapes) for s in e.shapes}) for e in effects)
+        return DynamicModel(self.robot, base, found, standing=self._standing)
 
     @property
     def taken(self) -> Array:
@@ -213,13 +214,7 @@ class OnlineIdentifier:
         Mass, first moments and inertia about the origin of its frame. Undetermined
         parameters are as small as possible.
         """
-        mean, covariance = self._estimate.before
-        return likely_payload(
-            self._estimate.filter.mean - mean,
-            covariance + self._estimate.filter.covariance,
-            self._estimate.payload,
-            self._payload_sizes,
-        )
+        return self._estimate.taken
 
     def update(self, sample: Sample) -> Change | None:
         """Accept one sample, or reject it; see :attr:`health`.
@@ -231,21 +226,32 @@ class OnlineIdentifier:
             IdentificationError: A sample has the wrong shape, or lacks the speed and
                 acceleration that it needs.
         """
-        if not self._started:
-            self._start(sample)
+        if self._intake is None:
+            self._intake = self._start(sample)
         block = self._intake.take(sample)
         if block is not None:
-            self._pipeline.begin(block, self._estimate.filter.mean)
-            self._phase = 0
+            self._work = self._learn(block, self._intake)
+            self._calls = self._done = 0
         self._change = None
-        if self._phase < self._block:
-            for task in self._tasks[self._phase]:
-                task()
-            self._phase += 1
+        if self._calls < self._block:
+            self._calls += 1
+            last = self._calls == self._block
+            due = self._calls * self._steps // self._block - self._done
+            for _ in islice(self._work, None if last else due):
+                self._done += 1
+            self._steps = max(self._steps, self._done)
         return self._change
 
-    def _start(self, sample: Sample) -> None:
-        """Build intake and pipeline for the signals that the first sample has."""
+    def _learn(self, block: Array, intake: Intake) -> Iterator[None]:
+        """Update with a block of samples, in steps that take about as long each."""
+        row = yield from self._pipeline.row(block, self._estimate.filter.mean)
+        found = yield from self._estimate.learn(row, float(block[-1, 0]))
+        if found is not None:
+            self._change = Change(intake.now, found)
+            self.changes.append(self._change)
+
+    def _start(self, sample: Sample) -> Intake:
+        """Intake and pipeline for the signals that the first sample has."""
         if sample.v is not None and sample.a is not None:
             self._differentiator = None
         elif self._differentiator is None:
@@ -254,15 +260,6 @@ class OnlineIdentifier:
             )
         differentiator = self._differentiator
         scales = joint_scales(self.robot)
-        self._intake = Intake(
-            self.robot.size,
-            rate=self.rate,
-            window=differentiator.span if differentiator else 0.0,
-            speed=_IMPLAUSIBLE * sum(s.speed for s in scales),
-            torque=_IMPLAUSIBLE * sum(s.torque for s in scales),
-            before=2 * differentiator.margin if differentiator else 0,
-            block=self._block,
-        )
         self._pipeline = Pipeline(
             self._columns,
             self._layout,
@@ -271,20 +268,12 @@ class OnlineIdentifier:
             low_pass=self._low_pass,
             standing=self._standing,
         )
-        estimate = self._estimate
-        tasks = [
-            *self._pipeline.tasks,
-            lambda: estimate.compute_errors(self._pipeline.row, self._layout),
-            lambda: estimate.predict_spread(self._pipeline.time),
-            self._detect_change,
-            *estimate.tasks,
-        ]
-        ends = [k * len(tasks) // self._block for k in range(self._block + 1)]
-        self._tasks = [tasks[start:end] for start, end in pairwise(ends)]
-        self._started = True
-
-    def _detect_change(self) -> None:
-        found = self._estimate.detect_change(self._pipeline.time)
-        if found is not None:
-            self._change = Change(self._intake.now, found)
-            self.changes.append(self._change)
+        return Intake(
+            self.robot.size,
+            rate=self.rate,
+            window=differentiator.span if differentiator else 0.0,
+            speed=_IMPLAUSIBLE * sum(s.speed for s in scales),
+            torque=_IMPLAUSIBLE * sum(s.torque for s in scales),
+            before=2 * differentiator.margin if differentiator else 0,
+            block=self._block,
+        )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
 from hybrid.effects import Effect
@@ -58,17 +59,13 @@ class InitialEstimate:
     @cached_property
     def root(self) -> Array:
         """Square root of the initial covariance, shape (d, d)."""
-        problem = self.problem
+        problem, p = self.problem, self.problem.size
         std = self.prior * np.concatenate([self._link_sizes(), self._gain_sizes()])
         directions = problem.base.mapping * std  # (p, 10n + gains)
-        shapes = self.theta[problem.size :]
-        d, p = len(self.theta), problem.size
-        root = np.zeros((d, d))
         upper: Array = np.asarray(np.linalg.qr(directions.T, mode="r"))
-        root[:p, :p] = upper.T
         continuous = [not s.whole for e in problem.effects for s in e.shapes]
-        root[p:, p:] = np.diag(self.shape_prior * np.abs(shapes) * continuous)
-        return root
+        shapes = self.shape_prior * np.abs(self.theta[p:]) * continuous
+        return np.asarray(block_diag(upper.T, np.diag(shapes)))
 
     def _link_sizes(self) -> Array:
         """Magnitude of the inertial parameters of every link, shape (10n,)."""
@@ -87,10 +84,9 @@ class InitialEstimate:
         for e, g in self.problem.columns:
             effect = self.problem.effects[e]
             usual = effect.gains[g].scaled(scales[effect.joints[-1]])
-            least = max(
-                abs(usual.typical), 0.1 * min(usual.upper, abs(usual.lower) or np.inf)
-            )
-            sizes.append(max(abs(effect.gain_values[g]), least))
+            bound = min(usual.upper, abs(usual.lower) or np.inf)
+            value = abs(effect.gain_values[g])
+            sizes.append(max(value, abs(usual.typical), 0.1 * bound))
         return np.array(sizes)
 
     def bounds(self) -> tuple[Array, Array]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,28 +16,14 @@ from hybrid.online.layout import Indices, RowLayout
 STEP = 1e-4  # relative, for finite differences of the shapes
 
 
-@dataclass(frozen=True)
-class IndexedEffect:
-    """An effect and the indices of its unknowns.
-
-    Attributes:
-        effect: The effect with its initial shapes.
-        gains: Index of each gain; −1 if it is not tracked.
-        shapes: Index of each shape.
-    """
-
-    effect: Effect
-    gains: list[int]
-    shapes: list[int]
-
-
 class InstantLaws:
     """Derivatives of the torque by gains and shapes of many laws at one instant.
 
-    Laws that cannot be compiled, and effects of more than one joint, are in ``others``.
+    The indices of laws that cannot be compiled, and of effects of more than one joint,
+    are in ``others``.
     """
 
-    def __init__(self, effects: Sequence[IndexedEffect], layout: RowLayout) -> None:
+    def __init__(self, effects: Sequence[Effect], layout: RowLayout) -> None:
         n, tape = layout.joint_count, Tape()
         names = ["t", *(f"{x}[{j}]" for x in ("q", "v", "a", "load") for j in range(n))]
         t, *signals = (tape.input(name) for name in names)
@@ -49,12 +34,12 @@ class InstantLaws:
             )
         ]
         found: dict[int, Any] = {}
-        self.others: list[IndexedEffect] = []
-        for own in effects:
+        self.others: list[int] = []
+        for e, effect in enumerate(effects):
             try:
-                found |= _columns(own, states, layout, tape)
+                found |= _columns(e, effect, states, layout, tape)
             except (HybridError, TypeError, ValueError):
-                self.others.append(own)
+                self.others.append(e)
         self.places: Indices = np.array(list(found), dtype=int)
         inputs = {x.arguments[0] for x in tape.lines if x.name == "input"}
         marks = [u for u in range(layout.size) if f"theta[{u}]" in inputs]
@@ -65,25 +50,19 @@ class InstantLaws:
     def __call__(
         self, t: float, q: Array, v: Array, a: Array, load: Array, theta: Array
     ) -> Sequence[float]:
-        """Derivatives, for the places of a row in ``places``.
-
-        Args:
-            t: Time, [s].
-            q: Position, shape (n,), [rad].
-            v: Speed, shape (n,), [rad/s].
-            a: Acceleration, shape (n,), [rad/s²].
-            load: Torque of the rigid body, shape (n,), [N·m].
-            theta: Unknowns, shape (d,).
-        """
+        """Derivatives at an instant and a load (n,), [N·m], for ``places`` of a row."""
         signals = np.concatenate([q, v, a, load, theta[self._unknowns]])
         return self._law.at([t, *signals.tolist()])
 
 
 def _columns(
-    own: IndexedEffect, states: Sequence[JointState], layout: RowLayout, tape: Tape
+    e: int,
+    effect: Effect,
+    states: Sequence[JointState],
+    layout: RowLayout,
+    tape: Tape,
 ) -> dict[int, Any]:
     """Symbolic derivative by each gain and shape, by its place in a row."""
-    effect = own.effect
     if not isinstance(effect, JointEffect):
         raise HybridError(f"{effect.id} is no law of one joint's own state")
     (joint,) = effect.joints
@@ -94,15 +73,15 @@ def _columns(
     def theta(unknown: int) -> Any:
         return tape.input(f"theta[{unknown}]") if unknown >= 0 else 0.0
 
-    gains, slopes = places(own.gains), places(own.shapes)
+    gains, slopes = places(layout.gains[e]), places(layout.shapes[e])
     tracked = all(place >= 0 for place in slopes)
     shapes: dict[str, Any] = dict(effect.shape_values)
     if tracked:
-        shapes = dict(zip(shapes, map(theta, own.shapes), strict=True))
+        shapes = dict(zip(shapes, map(theta, layout.shapes[e]), strict=True))
     law = [*effect.law(states[joint], **shapes)]
 
     def torque(law: Sequence[Any]) -> Any:
-        return sum(theta(u) * x for u, x in zip(own.gains, law, strict=True))
+        return sum(theta(u) * x for u, x in zip(layout.gains[e], law, strict=True))
 
     found = dict(zip(gains, law, strict=True))
     for name, place in zip(shapes, slopes, strict=True) if tracked else ():

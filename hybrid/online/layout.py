@@ -25,40 +25,44 @@ class RowLayout:
     Args:
         problem: The unknowns.
         shapes: Whether shapes have places; they are constant if not.
+
+    Attributes:
+        gains: Index of each gain among the unknowns, −1 if it is none, by effect.
+        shapes: Index of each shape, by effect.
     """
 
     def __init__(self, problem: Problem, shapes: bool) -> None:
-        n = problem.chain.size
+        n, first = problem.chain.size, problem.size
         reached: list[list[int]] = [x.tolist() for x in problem.support]
-        first = problem.size
-        for effect in problem.effects:
-            own = range(first, first + len(effect.shapes))
-            first = own.stop
+        unknown = {(e, g): u for u, e, g in problem.gains}
+        self.gains: list[list[int]] = []
+        self.shapes: list[list[int]] = []
+        for e, effect in enumerate(problem.effects):
+            own = [*range(first, first + len(effect.shapes))]
+            first += len(own)
+            gains = range(len(effect.gains))
+            self.gains.append([unknown.get((e, g), -1) for g in gains])
+            self.shapes.append(own)
             for joint in effect.reaches(n) if shapes else ():
                 reached[joint] += own
         self.joint_count, self.size = n, first
         extra = range(-_EXTRA, 0)
         flat = [(i, u) for i, own in enumerate(reached) for u in (*own, *extra)]
         self._place = {x: place for place, x in enumerate(flat)}
-        self.joints, unknowns = np.array(flat).T
-        self._known = np.flatnonzero(unknowns >= 0)
-        self._at = self.joints[self._known], unknowns[self._known]
-        behind = np.flatnonzero(unknowns < 0).reshape(n, _EXTRA)
+        self.joints, self.unknowns = np.array(flat).T
+        self._known = np.flatnonzero(self.unknowns >= 0)
+        self._at = self.joints[self._known], self.unknowns[self._known]
+        behind = np.flatnonzero(self.unknowns < 0).reshape(n, _EXTRA)
         self.payload, self.torque, self.moving = (
             behind[:, :PAYLOAD], behind[:, PAYLOAD], behind[:, PAYLOAD + 1]
         )  # fmt: skip
-        self.unknowns = unknowns
 
     def place(self, joint: int, unknown: int) -> int:
         """Place of an unknown in the part of a joint; −1 if it has none."""
         return self._place.get((joint, unknown), -1)
 
     def derivative(self, row: Array) -> Array:
-        """Derivative of every joint's torque by all unknowns, shape (n, d).
-
-        Args:
-            row: A flat row, shape (P,).
-        """
+        """Derivative of every joint's torque by all unknowns, shape (n, d)."""
         out = np.zeros((self.joint_count, self.size))
         out[self._at] = row[self._known]
         return out

@@ -38,13 +38,10 @@ class Change:
 def likely_payload(
     change: Array, covariance: Array, directions: Array, sizes: Array
 ) -> Array:
-    """The most probable payload for a change of the unknowns, shape (10,).
+    """The most probable payload, shape (10,), for a change of the unknowns (d,).
 
-    Args:
-        change: Change of the unknowns, shape (d,).
-        covariance: Its covariance, shape (d, d).
-        directions: Change by usual payload parameters, shape (d, 10).
-        sizes: Those usual parameters, shape (10,).
+    Usual payload parameters are ``sizes``; they change the unknowns by ``directions``,
+    shape (d, 10).
     """
     used = np.any(directions != 0, axis=1)
     D = directions[used]
@@ -85,9 +82,7 @@ class PayloadChange:
     def detect(self, t: float, inflation: float) -> float | None:
         """The statistic of a change if one is detected, else None.
 
-        Args:
-            t: Time, [s].
-            inflation: Number of successive errors that count as one independent error.
+        So many successive errors as ``inflation`` says count as one independent error.
         """
         if self._ignore_until is None:
             self._ignore_until = t + _LEARNING

@@ -8,6 +8,8 @@ doi 10.1109/7.993234 (projection on bounds).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.linalg import blas, lapack
 
@@ -45,11 +47,7 @@ class SquareRootFilter:
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
 
     def project(self, H: Array) -> Array:
-        """H·S, shape (m, d): square root of the predicted observation covariance.
-
-        Args:
-            H: Derivative of the observations by the unknowns, over their noise, (m, d).
-        """
+        """H·S, shape (m, d): square root of the predicted observation covariance."""
         return np.asarray(H @ self.root)
 
     def update(self, H: Array, error: Array, forgetting: float = 1.0) -> None:
@@ -60,31 +58,25 @@ class SquareRootFilter:
             error: Observation less its prediction over the noise, shape (m,).
             forgetting: Forgetting factor λ, at most 1.
         """
-        self.begin_update(self.project(H), error, forgetting)
-        self.finish_update()
+        for _ in self.steps(self.project(H), error, forgetting):
+            pass
 
-    def begin_update(self, projected: Array, error: Array, forgetting: float) -> None:
-        """First half of :meth:`update`: the information in each measured direction.
-
-        Args:
-            projected: Result of :meth:`project`.
-            error: See :meth:`update`.
-            forgetting: Forgetting factor λ, at most 1.
-        """
+    def steps(
+        self, projected: Array, error: Array, forgetting: float
+    ) -> Iterator[None]:
+        """:meth:`update` in two steps, from the result of :meth:`project`."""
         power, turn, _ = lapack.dsyevd(projected @ projected.T)
         power = np.maximum(power, _ROUNDING)
         total = np.maximum(forgetting + power, 1.0)
         shrink = (1.0 / np.sqrt(total) - 1.0) / power
-        self._pending = turn.T @ projected, shrink, (error @ turn) / total
-
-    def finish_update(self) -> None:
-        """Second half of :meth:`update`: change the mean and the root."""
-        turned, shrink, gain = self._pending
+        turned, gain = turn.T @ projected, (error @ turn) / total
+        yield
         moved = self.root @ turned.T  # (d, m)
         self.mean += moved @ gain
         self.root = blas.dgemm(
             1.0, moved * shrink, turned, 1.0, self.root, overwrite_c=True
         )
+        yield
 
     def add_covariance(self, directions: Array) -> None:
         """Add the covariance D·Dᵀ of ``directions`` D (d, r)."""
@@ -93,12 +85,7 @@ class SquareRootFilter:
         self.root = np.asfortranarray(upper.T)
 
     def clip(self, lower: Array, upper: Array) -> None:
-        """Project an estimate outside its bounds onto them, in its own metric.
-
-        Args:
-            lower: Lowest values, shape (d,).
-            upper: Highest values, shape (d,).
-        """
+        """Project an estimate outside its bounds (d,) onto them, in its own metric."""
         (passed,) = np.nonzero((self.mean < lower) | (self.mean > upper))
         if not passed.size:
             return

@@ -6,9 +6,11 @@ errors need no samples after that, so memory does not grow with the length of th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +18,6 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem, part
-from hybrid.regression.rows import Rows
-from hybrid.regression.scores import Scores, runs_of
 from hybrid.signals import Motion, Sampler
 
 _CHUNK = 16384  # samples processed at a time, at full rate
@@ -30,11 +30,60 @@ Chunks = Iterator[tuple[int, Array, Array]]
 
 
 @dataclass(frozen=True)
-class Sums:
-    """Sums over the samples of each block in time.
+class Scores:
+    """Sums of products of the unfiltered rows of each joint, over scoring blocks.
 
     Attributes:
-        rows: Columns and torque of every joint.
+        sums: Rows times rows transposed of each joint, summed over each block, shape
+            (B, d, d) each.
+        fold: Cross-validation fold of each block, shape (B,).
+    """
+
+    sums: tuple[Array, ...]
+    fold: NDArray[np.intp]
+
+    @classmethod
+    def empty(
+        cls,
+        sizes: Sequence[int],
+        blocks: Sequence[NDArray[np.intp]],
+        folds: Sequence[NDArray[np.intp]],
+    ) -> Self:
+        """Sums of nothing, of joints with rows of these ``sizes``."""
+        label, first = np.unique(np.concatenate(blocks), return_index=True)
+        count = 1 + int(label.max())
+        fold = np.zeros(count, dtype=np.intp)
+        fold[label] = np.concatenate(folds)[first]
+        return cls(tuple(np.zeros((count, d, d)) for d in sizes), fold)
+
+    def add(self, block: NDArray[np.intp], D: Array, moving: NDArray[np.bool_]) -> None:
+        """Add rows D (P, N) of samples with these blocks, where joints are moving."""
+        own = np.split(D, np.cumsum([x.shape[1] for x in self.sums])[:-1])
+        for sums, rows, moves in zip(self.sums, own, moving, strict=True):
+            for start, stop in runs_of(block, moves.astype(int)):
+                if moves[start]:
+                    part = rows[:, start:stop]
+                    sums[block[start]] += part @ part.T
+
+    def squares(self, theta: Array, support: Sequence[NDArray[np.intp]]) -> Array:
+        """Squares of each block (B, n) by the solutions without each fold (F, p).
+
+        Rows of a joint but the last, its torque, belong to the unknowns ``support``.
+        """
+        own = theta[self.fold]  # (B, p)
+        found = np.empty((len(own), len(self.sums)))
+        for i, (sums, used) in enumerate(zip(self.sums, support, strict=True)):
+            c = np.concatenate([-own[:, used], np.ones((len(own), 1))], axis=1)
+            found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
+        return np.maximum(found, 0.0)
+
+
+@dataclass(frozen=True)
+class CrossProducts:
+    """Sums of the rows of a problem over the samples of each block in time.
+
+    Attributes:
+        problem: The unknowns.
         blocks: Rows times rows transposed, summed over each block, shape (B, P, P).
         counts: Samples of each block in which both joints moved, shape (B, n, n).
         recording: Index of the recording of each block, shape (B,).
@@ -42,32 +91,12 @@ class Sums:
         scores: Sums of unfiltered rows, for held-out errors.
     """
 
-    rows: Rows
+    problem: Problem
     blocks: Array
     counts: Array
     recording: NDArray[np.intp]
     fold: NDArray[np.intp]
     scores: Scores | None
-
-    def cover(self, problem: Problem) -> bool:
-        """Whether they hold all rows of a problem."""
-        return self.rows.places(problem.rows) is not None
-
-    def of(self, problem: Problem) -> CrossProducts:
-        """Those of a problem whose rows they hold."""
-        places = self.rows.places(problem.rows)
-        assert places is not None
-        own = places - np.repeat(self.rows.offsets[:-1], np.diff(problem.rows.offsets))
-        return CrossProducts(
-            problem.rows,
-            self.blocks[:, places[:, None], places],
-            self.counts,
-            self.recording,
-            self.fold,
-            self.scores and self.scores.of(np.split(own, problem.rows.offsets[1:-1])),
-            problem,
-            self,
-        )
 
     @cached_property
     def total(self) -> Array:
@@ -77,40 +106,16 @@ class Sums:
     @cached_property
     def folds(self) -> Array:
         """Sums over the blocks of each fold, shape (F, P, P)."""
-        return self.weighted(np.ones(len(self.fold)))
-
-    def weighted(self, share: Array) -> Array:
-        """Sums over the blocks of each fold, each with a weight, shape (F, P, P).
-
-        Args:
-            share: Weight of each block, shape (B,).
-        """
         last = max(x.fold.max() for x in (self, self.scores) if x)
         member = np.arange(last + 1)[:, None] == self.fold
-        return np.asarray(np.tensordot(member * share, self.blocks, axes=1))
+        return np.asarray(np.tensordot(1.0 * member, self.blocks, axes=1))
 
-    def weighted_total(self, share: Array) -> Array:
-        """Sum over all blocks, each with a weight, shape (P, P).
-
-        Args:
-            share: Weight of each block, shape (B,).
-        """
+    def shared(self, share: Array) -> CrossProducts:
+        """The same with a weight of each block, shape (B,)."""
         if share.min() == 1.0:
-            return self.total
-        return np.asarray(np.tensordot(share, self.blocks, axes=1))
-
-
-@dataclass(frozen=True)
-class CrossProducts(Sums):
-    """Those of a problem.
-
-    Attributes:
-        problem: The unknowns.
-        source: Sums of these and other rows.
-    """
-
-    problem: Problem
-    source: Sums
+            return self
+        each = share[:, None, None]
+        return replace(self, blocks=each * self.blocks, counts=each * self.counts)
 
     @property
     def samples(self) -> int:
@@ -131,75 +136,57 @@ class CrossProducts(Sums):
         problem, many = self.problem, sums.shape[:-2]
         A = np.zeros((*many, problem.size, problem.size))
         b = np.zeros((*many, problem.size))
-        for i, left in enumerate(problem.support):
-            rows = slice(self.rows.offsets[i], self.rows.offsets[i] + len(left))
-            for k, right in enumerate(problem.support):
-                if weight[i, k] == 0:
-                    continue
-                start = self.rows.offsets[k]
-                columns = slice(start, start + len(right))
-                A[..., left[:, None], right] += weight[i, k] * sums[..., rows, columns]
-                b[..., left] += weight[i, k] * sums[..., rows, start + len(right)]
+        parts = [slice(x, y) for x, y in pairwise(self.problem.offsets)]
+        for i, k in zip(*np.nonzero(weight), strict=True):
+            left, right = problem.support[i], problem.support[k]
+            own = weight[i, k] * sums[..., parts[i], parts[k]]
+            A[..., left[:, None], right] += own[..., :-1, :-1]
+            b[..., left] += own[..., :-1, -1]
         return A, b
 
-    def residual_map(self, theta: Array) -> Array:
-        """Matrix that maps rows to residuals: residual = mapᵀ · rows, shape (P, n).
-
-        Args:
-            theta: Unknowns, shape (p,).
-        """
-        problem = self.problem
-        C = np.zeros((self.rows.offsets[-1], len(problem.support)))
-        for i, support in enumerate(problem.support):
-            start = self.rows.offsets[i]
-            C[start : start + len(support), i] = -theta[support]
-            C[start + len(support), i] = 1.0
-        return C
+    def without_folds(self, weight: Array) -> tuple[Array, Array]:
+        """Normal equations without each fold, shapes (F, p, p) and (F, p)."""
+        return self.normal(weight, self.folds.sum(axis=0) - self.folds)
 
     def residual_products(self, theta: Array, sums: Array | None = None) -> Array:
         """Sum of products of residuals across joints, shape (..., n, n), [N²·m²].
 
-        Args:
-            theta: Unknowns, shape (p,).
-            sums: Cross-products to use, shape (..., P, P); all blocks by default.
+        It is that of all blocks, or of other sums, shape (..., P, P).
         """
-        C = self.residual_map(theta)
+        C = np.zeros((self.problem.offsets[-1], len(self.problem.support)))
+        for i, support in enumerate(self.problem.support):
+            own = slice(*self.problem.offsets[i : i + 2])
+            C[own, i] = [*-theta[support], 1.0]
         return np.asarray(C.T @ (self.total if sums is None else sums) @ C)
 
     def held_out_squares(self, theta: Array) -> Array:
-        """Squared residuals of each block by the solution without its fold, (B, n).
-
-        Args:
-            theta: Solutions without each fold, shape (F, p).
-        """
+        """Squares of each block (B, n) by the solutions without each fold (F, p)."""
         assert self.scores is not None
         return self.scores.squares(theta, self.problem.support)
 
 
 def accumulate(
-    rows: Rows,
+    problem: Problem,
     motions: Sequence[Motion],
     *,
     cutoff: float,
     standing: Array,
     folds: Sequence[NDArray[np.intp]] | None = None,
     blocks: Sequence[NDArray[np.intp]] | None = None,
-    chunks: Callable[[Rows, Motion], Chunks] | None = None,
-) -> Sums:
+) -> CrossProducts:
     """Sums of products of rows along motions, columns and torque filtered identically.
 
     The rows of a joint are left out while it stands still: any friction below the
     break-away torque may hold it then, so its torque tells nothing.
 
     Args:
-        rows: Columns and torque of every joint.
+        problem: The unknowns.
         motions: Motions at full rate.
         cutoff: Cut-off of the filter of columns and torque, [Hz]; inf for none.
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
         folds: Fold of every sample, shape (N,) for each motion.
         blocks: Scoring block of every sample, shape (N,) for each motion; each block
             lies in one fold.
-        chunks: Source of the rows of a motion; see :func:`sampled_chunks`.
 
     Returns:
         Sums in about 100 blocks at most.
@@ -209,90 +196,61 @@ def accumulate(
     """
     seconds = sum(m.t[-1] - m.t[0] for m in motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
-    sizes = np.diff(rows.offsets).tolist()
+    sizes = np.diff(problem.offsets).tolist()
     scores = Scores.empty(sizes, blocks, folds) if blocks and folds else None
-    found: list[tuple[int, int, Array, Array]] = []
+    # Products and counts by recording, block and fold.
+    found: dict[tuple[int, int, int], tuple[Array, Array]] = {}
     for r, motion in enumerate(motions):
         sampler = Sampler.for_rate(motion.rate, cutoff)
         length = max(1, round(block_seconds * motion.rate / sampler.factor))
-        fold = folds[r] if folds is not None else np.zeros(len(motion.t), dtype=int)
+        fold = folds[r] if folds else np.zeros(len(motion.t), dtype=np.intp)
         moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T
-        sums: dict[tuple[int, int], tuple[Array, Array]] = {}
-        for first, D, raw in (chunks or _chunks(sampler))(rows, motion):
-            if scores is not None and blocks is not None:
-                here = slice(
-                    first * sampler.factor, first * sampler.factor + raw.shape[1]
-                )
+        for first, D, raw in chunks_along(problem, motion, sampler):
+            here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
+            if scores and blocks:
                 scores.add(blocks[r][here], raw, moves[:, here])
-            few = slice(first, first + D.shape[1])
-            moving = moves[:, :: sampler.factor][:, few].astype(float)
-            if not moving.all():
-                D *= np.repeat(moving, sizes, axis=0)
-            at = (first + np.arange(D.shape[1])) // length
-            _add(sums, D, moving, at, fold[:: sampler.factor][few])
-        found += [(r, key[1], *x) for key, x in sorted(sums.items())]
+            moving = moves[:, here][:, :: sampler.factor].astype(float)
+            D *= np.repeat(moving, sizes, axis=0)
+            block = (first + np.arange(D.shape[1])) // length
+            own = sampler.keep(fold[here])
+            for start, stop in runs_of(block, own):
+                x, there = D[:, start:stop], moving[:, start:stop]
+                if there.any():
+                    key = r, int(block[start]), int(own[start])
+                    products, counts = found.get(key, (0.0, 0.0))
+                    found[key] = products + x @ x.T, counts + there @ there.T
     if not found:
         raise IdentificationError(
             "no usable sample: every one is masked, or no joint moves"
         )
-    recording, block_fold, products, counts = map(np.array, zip(*found, strict=True))
-    return Sums(rows, products, counts, recording, block_fold, scores)
+    keys = sorted(found)
+    recording, _, block_fold = np.array(keys).T
+    products, counts = map(np.array, zip(*(found[k] for k in keys), strict=True))
+    return CrossProducts(problem, products, counts, recording, block_fold, scores)
 
 
-def _add(
-    sums: dict[tuple[int, int], tuple[Array, Array]],
-    D: Array,
-    moving: Array,
-    block: NDArray[np.intp],
-    fold: NDArray[np.intp],
-) -> None:
-    """Add products and counts of some samples, by block and fold."""
-    for start, stop in runs_of(block, fold):
-        part, moves = D[:, start:stop], moving[:, start:stop]
-        if moves.any():
-            key = int(block[start]), int(fold[start])
-            products, counts = sums.get(key, (0.0, 0.0))
-            sums[key] = products + part @ part.T, counts + moves @ moves.T
-
-
-def _chunks(sampler: Sampler) -> Callable[[Rows, Motion], Chunks]:
-    return lambda rows, motion: sampled_chunks(
-        lambda samples: rows.along(part(motion, samples)), len(motion.t), sampler
-    )
-
-
-def sampled_chunks(
-    rows: Callable[[slice], Array],
-    total: int,
-    sampler: Sampler,
-    filtered: Callable[[slice, Array], Array] | None = None,
-) -> Chunks:
-    """Evaluate rows at full rate, filter and decimate them, one chunk at a time.
+def chunks_along(problem: Problem, motion: Motion, sampler: Sampler) -> Chunks:
+    """Evaluate rows along a motion, filter and decimate them, one chunk at a time.
 
     Chunks overlap by the length of the filter, so the result does not depend on them.
-
-    Args:
-        rows: Function from a slice of samples to rows of shape (P, N).
-        total: Number of samples.
-        sampler: Filter and decimation.
-        filtered: Function from a slice and its rows to filtered and decimated rows; by
-            default the sampler.
 
     Yields:
         Index of the first decimated sample, the decimated rows, shape (P, M), and the
         rows at full rate, shape (P, samples).
     """
-    factor = sampler.factor
+    factor, total = sampler.factor, len(motion.t)
     margin = -(-max(sampler.margin, _GRADIENT_MARGIN) // factor) * factor
     chunk = max(_CHUNK, 4 * margin) // factor * factor
     for start in range(0, total, chunk):
-        before = max(0, start - margin)
-        after = min(total, start + chunk + margin)
-        stop = min(total, start + chunk)
-        here = slice(before, after)
-        full = rows(here)
-        D = filtered(here, full) if filtered else sampler(full, axis=1)
-        skip = (start - before) // factor
-        count = -(-(stop - start) // factor)
+        before, stop = max(0, start - margin), min(total, start + chunk)
+        full = problem.rows(part(motion, slice(before, min(total, stop + margin))))
+        D = sampler(full, axis=1)
+        skip, count = (start - before) // factor, -(-(stop - start) // factor)
         raw = full[:, start - before : stop - before]
         yield start // factor, D[:, skip : skip + count], raw
+
+
+def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Start and end (exclusive) of each run of equal labels."""
+    steps = np.sum([np.abs(np.diff(x, prepend=-1)) for x in labels], axis=0)
+    return list(pairwise([*np.flatnonzero(steps), len(labels[0])]))

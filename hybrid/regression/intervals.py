@@ -141,16 +141,10 @@ def _undetermined(A: Array) -> tuple[int, ...]:
 
 
 def weak_directions(A: Array, weakest: float) -> Array:
-    """Directions of the unknowns that belong to small singular values.
+    """Directions of the unknowns that belong to small singular values, in columns.
 
-    Args:
-        A: Normal matrix, shape (p, p).
-        weakest: Largest singular value that counts as small, as a share of the
-            largest of all.
-
-    Returns:
-        Orthonormal directions, in columns; the unknowns are scaled so that the
-        regression columns have unit length; shape (p, any number).
+    Those are small that are below a share ``weakest`` of the largest. The unknowns are
+    scaled so that the regression columns have unit length.
     """
     values, vectors = eigh(unit_columns(A)[0])
     return np.asarray(vectors[:, values <= weakest**2 * values[-1]])
@@ -176,11 +170,11 @@ def _covariance(
         precision = np.pad(prior.precision, added)
         hessian = hessian + precision
         gradient = gradient + np.pad(prior.pull, added) - precision @ theta
-    gradients = _block_gradients(products, theta, weight)
-    count = len(gradients)
-    changes = np.empty((count, len(theta)))
-    for k, block in enumerate(products.normal(weight, products.blocks)[0]):
-        changes[k] = pseudo_solve(hessian - block, gradient - gradients[k])
+    each = zip(*products.normal(weight, products.blocks), strict=True)
+    changes = np.array([
+        pseudo_solve(hessian - A_k, gradient - (b_k - A_k @ theta)) for A_k, b_k in each
+    ])  # fmt: skip
+    count = len(changes)
     changes -= changes.mean(axis=0)
     changes *= np.sqrt(_variance_inflation(changes, products.recording))
     covariance = np.asarray((count - 1) / count * changes.T @ changes)
@@ -193,26 +187,11 @@ def _covariance(
     return covariance[:size, :size], count - 1
 
 
-def _block_gradients(products: CrossProducts, theta: Array, weight: Array) -> Array:
-    """Descent direction Yᵀ·weight·residual of each block, shape (B, p)."""
-    problem, C = products.problem, products.residual_map(theta)
-    moments = products.blocks @ (C @ weight)  # (B, P, n)
-    found = np.zeros((len(moments), problem.size))
-    for i, support in enumerate(problem.support):
-        start = products.rows.offsets[i]
-        found[:, support] += moments[:, start : start + len(support), i]
-    return found
-
-
 def _variance_inflation(series: Array, recording: NDArray[np.intp]) -> Array:
     """Variance of the sum of a series over that of independent terms, shape (p,).
 
     Source: a first-order autoregression, Andrews and Monahan 1992, doi 10.2307/2951574;
     its bias by Kendall 1954, doi 10.1093/biomet/41.3-4.403.
-
-    Args:
-        series: Terms of successive blocks, of zero mean, shape (B, p).
-        recording: Index of the recording of each block, shape (B,).
     """
     follows = recording[1:] == recording[:-1]
     power = np.maximum((series**2).sum(axis=0), 1e-300)

@@ -6,9 +6,7 @@ equations).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -69,20 +67,26 @@ def solve_weighted(
             f"{products.samples} samples of {n} joints cannot determine {p} unknowns; "
             "longer recordings are needed"
         )
+    lower = products.problem.lower if bounded else None
+
+    def solution(weight: Array, share: Array, prior: Prior | None) -> Array:
+        A, b = products.shared(share).normal(weight)
+        return _optimum(A, b, lower, prior)
+
     weight: Array = np.eye(n)
     share = np.ones(len(products.counts))
-    theta = _step(products, weight, share, bounded, None)
+    theta = solution(weight, share, None)
     if prior is not None:  # its weight against the data depends on the noise variance
         variance = np.diag(_sigma(products, theta, share, False)).mean()
         weight = np.eye(n) / variance
-        theta = _step(products, weight, share, bounded, prior)
+        theta = solution(weight, share, prior)
     converged, iterations = estimator == "ls", 0
     limit = {"ls": 0, "wls": 2, "irls": _MOST_ITERATIONS}[estimator]
     while iterations < limit and not converged:
         share = _block_weights(products, theta, weight) if robust else share
         sigma = _sigma(products, theta, share, estimator == "irls")
         weight = np.asarray(np.linalg.inv(sigma), dtype=np.float64)
-        before, theta = theta, _step(products, weight, share, bounded, prior)
+        before, theta = theta, solution(weight, share, prior)
         change = np.abs(theta - before).max() / (np.abs(theta).max() + 1e-12)
         converged, iterations = bool(change < _TOLERANCE), iterations + 1
     converged = converged or estimator == "wls"
@@ -95,7 +99,6 @@ def without_folds(
     *,
     bounded: bool = False,
     prior: Prior | None = None,
-    optimum: Callable[[Array, Array], Array] | None = None,
     share: Array | None = None,
 ) -> Array:
     """Solutions that each leave one fold out, at given weights, shape (F, p).
@@ -105,36 +108,18 @@ def without_folds(
         weight: Weight across joints, shape (n, n).
         bounded: Keep physically non-negative gains at or above zero.
         prior: Prior of the unknowns.
-        optimum: Function from a normal matrix and its right side to the unknowns, shape
-            (p,); plain or bounded least squares by default.
         share: Weight of each block, from 0 to 1, shape (B,); all 1 by default.
     """
-    if optimum is None:
-        optimum = partial(_optimum, lower=products.problem.lower if bounded else None)
-    if share is None or share.min() == 1.0:
-        sums = products.folds
-    else:
-        sums = products.weighted(share)
-    A, b = products.normal(weight, sums.sum(axis=0) - sums)
+    if share is not None:
+        products = products.shared(share)
+    lower = products.problem.lower if bounded else None
+    each = zip(*products.without_folds(weight), strict=True)
+    return np.array([_optimum(A, b, lower, prior) for A, b in each])
+
+
+def _optimum(A: Array, b: Array, lower: Array | None, prior: Prior | None) -> Array:
     if prior is not None:
         A, b = A + prior.precision, b + prior.pull
-    return np.array([optimum(*x) for x in zip(A, b, strict=True)])
-
-
-def _step(
-    products: CrossProducts,
-    weight: Array,
-    share: Array,
-    bounded: bool,
-    prior: Prior | None,
-) -> Array:
-    A, b = products.normal(weight, products.weighted_total(share))
-    if prior is not None:
-        A, b = A + prior.precision, b + prior.pull
-    return _optimum(A, b, products.problem.lower if bounded else None)
-
-
-def _optimum(A: Array, b: Array, lower: Array | None) -> Array:
     return pseudo_solve(A, b) if lower is None else _bounded_solve(A, b, lower)
 
 
@@ -146,12 +131,7 @@ def unit_columns(A: Array) -> tuple[Array, Array]:
 
 
 def pseudo_solve(A: Array, b: Array) -> Array:
-    """Minimum-norm solution of normal equations in scaled columns, the shape of b.
-
-    Args:
-        A: Normal matrix, shape (p, p).
-        b: Right sides, shape (p,) or (p, any number).
-    """
+    """Minimum-norm solution of normal equations in scaled columns, the shape of b."""
     scaled, size = unit_columns(A)
     factor, fails = dpotrf(scaled, lower=1)
     if not fails and np.diag(factor).min() > _FULL_RANK:
@@ -203,14 +183,14 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
 
     Source: Gelman et al. 2013, "Bayesian Data Analysis", section 3.6.
     """
-    sums, blocks = products.weighted_total(share), share.sum()
+    products, blocks = products.shared(share), share.sum()
     n = len(products.problem.support)
-    counts = np.tensordot(share, products.counts, axes=1)
+    counts = products.counts.sum(axis=0)
     freedom = np.maximum(1.0, counts - products.problem.size / n)
-    sigma = products.residual_products(theta, sums) / freedom
+    sigma = products.residual_products(theta) / freedom
     # A difference of cross-products is uncertain by their rounding errors.
-    torque = np.array(products.rows.offsets[1:]) - 1
-    power = np.diag(sums)[torque] / np.diag(freedom)
+    torque = np.array(products.problem.offsets[1:]) - 1
+    power = np.diag(products.total)[torque] / np.diag(freedom)
     floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
     own = np.diag(np.clip(np.diag(sigma), 0.0, None) + floor)
     if not full:

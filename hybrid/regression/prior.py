@@ -50,11 +50,7 @@ class Prior:
 
 
 def file_prior(problem: Problem, robot: Robot, scales: Sequence[Scale]) -> Prior | None:
-    """The prior from the robot file, with the uncertainty of the module's first lines.
-
-    Returns:
-        The prior, or None if no link of the file has a mass.
-    """
+    """The prior from the robot file; None if no link of the file has a mass."""
     chain = problem.chain
     if not (chain.inertial[:, 0] > 0).any():
         return None

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,14 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.dynamics import (
     BaseParameters,
+    RigidBody,
     effect_gains,
+    regressor,
     rich_motion,
     stacked_base,
     stacked_columns,
 )
 from hybrid.effects import Effect
-from hybrid.regression.rows import Rows
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
@@ -92,14 +94,36 @@ class Problem:
         return tuple(np.flatnonzero(row > _WEIGHTLESS * row.max()) for row in size)
 
     @cached_property
-    def rows(self) -> Rows:
-        """Columns of each joint in the order of :attr:`support`, and its torque."""
-        rigid, links, gains = 10 * self.chain.size, [], []
-        for support in self.support:
-            kept = [self.base.kept[u] for u in support]
-            links.append(tuple(c for c in kept if c < rigid))
-            gains.append(tuple(self.columns[c - rigid] for c in kept if c >= rigid))
-        return Rows(self.chain, self.effects, self.inertial, tuple(links), tuple(gains))
+    def offsets(self) -> tuple[int, ...]:
+        """First row of each joint in :meth:`rows`, then the number of rows P."""
+        return (0, *np.cumsum([len(x) + 1 for x in self.support]).tolist())
+
+    def rows(self, motion: Motion) -> Array:
+        """Columns of each joint by its :attr:`support`, then its torque, (P, N)."""
+        tau, body = motion.tau, RigidBody(self.chain, motion, self.inertial)
+        for effect in self.effects:
+            if effect.observes:
+                motion = effect.observe(motion, body)
+                body = RigidBody(self.chain, motion, self.inertial)
+        used = [self.base.kept[u] for u in self.rigid]
+        Y = regressor(self.chain, motion.q, motion.v, motion.a, used)
+        links = Y.transpose(1, 2, 0)
+        columns = [effect.columns(motion, body) for effect in self.effects]
+        reached = [list(effect.reaches(self.chain.size)) for effect in self.effects]
+        out = np.empty((self.offsets[-1], len(motion.t)))
+        for i, (first, stop) in enumerate(pairwise(self.offsets)):
+            own, support = out[first : stop - 1], self.support[i]
+            rigid = np.intersect1d(support, self.rigid)
+            # mode="raise" would copy these rows twice.
+            np.take(links[i], rigid, axis=0, out=own[: len(rigid)], mode="clip")
+            gains = [x for x in self.gains if x[0] in support]
+            for row, (_, e, g) in zip(own[len(rigid) :], gains, strict=True):
+                row[:] = columns[e][:, reached[e].index(i), g]
+            for effect in self.effects:
+                if effect.reports and i in effect.joints:
+                    own[...] = effect.report(motion.t, own.T).T
+            out[stop - 1] = tau[:, i]
+        return out
 
     def complete(self) -> Problem:
         """The same problem with all gains of its effects; those added come last."""
@@ -111,11 +135,7 @@ class Problem:
         return replace(self, base=base, columns=columns)
 
     def fitted(self, theta: Array) -> tuple[BaseParameters, tuple[Effect, ...]]:
-        """Base parameters and effects with the values of a solution.
-
-        Args:
-            theta: Unknowns, shape (p,).
-        """
+        """Base parameters and effects with the values of a solution, shape (p,)."""
         effects = list(self.effects)
         for unknown, e, g in self.gains:
             value = self._expansion_point(e, g) + theta[unknown]
