@@ -1,6 +1,7 @@
-"""The array type that every annotation of this package uses."""
+"""The array types that every annotation of this package uses."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]

@@ -23,11 +23,10 @@ from scipy.stats import f as f_distribution
 
 from blind.score import Named
 from blind.sysid import fit_sysid, has_sysid
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.evidence.candidates import Term
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.errors import IdentificationError
 from hybrid.recording import Recording
 from hybrid.robot import Robot

@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.dynamics.kinematics import frames
 from hybrid.errors import warn
-from hybrid.excitation.constraints import Constraint, Index, Limits
+from hybrid.excitation.constraints import Constraint, Limits
 from hybrid.excitation.path import Path
 from hybrid.robot.chain import Chain
 from hybrid.robot.geometry import Capsules, capsules_from_robot

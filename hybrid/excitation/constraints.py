@@ -7,17 +7,14 @@ from functools import cached_property
 from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.dynamics import inverse_dynamics, torque_gradient
 from hybrid.errors import ExcitationError
 from hybrid.excitation.observation import TURNING_SPEED
 from hybrid.excitation.path import Path
 from hybrid.plant.reference import DEFAULT_ACCELERATION, limits
 from hybrid.robot.robot import Robot
-
-Index = NDArray[np.intp]
 
 
 class Constraint(Protocol):

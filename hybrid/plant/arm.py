@@ -7,16 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.dynamics import inverse_dynamics as rigid_torque
 from hybrid.effects import Effect, JointEffect, Port
 from hybrid.effects.registry import check_effects
 from hybrid.errors import EffectError, HybridError
 from hybrid.robot.robot import Robot
-
-Index = NDArray[np.intp]
 
 INTEGRATORS = {
     "euler": "mjINT_EULER",

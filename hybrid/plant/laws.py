@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects import Effect, JointEffect, JointState, Port
-from hybrid.plant.arm import Index, has_hook, overrides
+from hybrid.plant.arm import has_hook, overrides
 
 Side = Literal["dry", "drive", "link"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.plant.arm import Arm, Index, build_arm, encoder_readings, overrides
+from hybrid.plant.arm import Arm, build_arm, encoder_readings, overrides
 from hybrid.plant.lockstep import Lockstep
 from hybrid.robot.robot import Robot
 from hybrid.signals import Motion

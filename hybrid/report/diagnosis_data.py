@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import units
@@ -25,8 +24,6 @@ _LEAST_SHARE = 0.05  # of the squares that a finding explains at its main joint
 _LEAST_EVIDENCE = 3.0  # nat: a row with less is only named
 _DECADE = float(np.log(10.0))
 _DARKEST = 60.0  # per cent: black text on it is legible
-
-Index = NDArray[np.intp]
 
 
 def joint_curves(result: Result, i: int) -> dict[str, Any]:

@@ -16,10 +16,9 @@ from operator import itemgetter
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.bayes import heavy_tailed
 from hybrid.diagnosis.evidence.candidates import Candidate, Term, scale_of, with_gains
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.shapes import fit_shapes, price, shape_derivatives
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.background import (

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.diagnosis import Region
 from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.gap.gap import Gap, units
 
 TORQUE_TO_MOTION = "torque to motion"

@@ -8,8 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.products import Index
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.shapes import Range
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.effects import Effect, Nominal, Port, Quantity, Scale, effect_classes

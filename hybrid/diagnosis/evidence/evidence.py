@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.bayes import heavy_tailed
 from hybrid.diagnosis.evidence.noise import LAGS
-from hybrid.diagnosis.evidence.products import Index, Products
+from hybrid.diagnosis.evidence.products import Products
 from hybrid.diagnosis.evidence.screening import Screening, by_size
 from hybrid.diagnosis.gap.gap import Columns, Gap
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.noise import Noise
-
-Index = NDArray[np.intp]
 
 _ROOM = 1.5  # allocated over needed memory, so that little is copied
 _CHUNK = 64  # columns that are whitened at a time
@@ -96,7 +93,7 @@ class JointProducts:
             self._row[new] = np.arange(used, size)
         return np.asarray(self._across[np.ix_(self._row[base], places)])
 
-    def products(self, x: Array, base: Index) -> tuple[Array, Array, Array]:
+    def products(self, x: Array, base: Array) -> tuple[Array, Array, Array]:
         """Products of other columns, shape (R, p), with a base's columns, one a row.
 
         Returns:

@@ -50,7 +50,7 @@ class Noise:
             bands[k, : count - k] = by_row[k:, k]
         lower = sparse.dia_array((bands, -np.arange(p + 1)), shape=(count, count))
         self._matrix = lower.tocsr()
-        self._transposed = lower.T.tocsr()
+        self._transposed = self._matrix.T.tocsr()
 
     def whiten(self, x: Array) -> Array:
         """Whitened samples, shape (R, ...)."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import (
     LAGS,
@@ -18,7 +18,6 @@ from hybrid.diagnosis.evidence.noise import (
     floored,
     without_events,
 )
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.prior import Prior
 from hybrid.signals import autocorrelation_time
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import (
     Candidate,
     Place,
@@ -18,7 +18,6 @@ from hybrid.diagnosis.evidence.candidates import (
 )
 from hybrid.diagnosis.evidence.contacts import Contacts
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import price

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.joint_products import Index, JointProducts
+from hybrid.arrays import Array, Index
+from hybrid.diagnosis.evidence.joint_products import JointProducts
 from hybrid.diagnosis.evidence.noise import Noise
 from hybrid.diagnosis.gap.gap import Columns, Gap
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from hybrid.arrays import Index
 from hybrid.diagnosis.evidence.candidates import Candidate, scale_of, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence, Trial
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.shapes import fit_shapes, price, shape_derivatives
 from hybrid.effects import Effect
 

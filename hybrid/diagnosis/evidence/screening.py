@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.bayes import heavy_tailed
-from hybrid.diagnosis.evidence.products import Index
 
 
 @dataclass(frozen=True, eq=False)

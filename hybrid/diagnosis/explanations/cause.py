@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hybrid.arrays import Index
 from hybrid.diagnosis.evidence.candidates import Candidate, Place
-from hybrid.diagnosis.evidence.products import Index
 
 
 @dataclass(frozen=True, eq=False)

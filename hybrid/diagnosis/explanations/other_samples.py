@@ -10,9 +10,8 @@ from weakref import proxy
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.gap.background import (
     background,

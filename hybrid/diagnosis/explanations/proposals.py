@@ -10,8 +10,8 @@ from weakref import proxy
 
 import numpy as np
 
+from hybrid.arrays import Index
 from hybrid.diagnosis.evidence.candidates import Candidate, Place
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.posterior import Posterior
 from hybrid.effects import effect_classes

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2, qmc
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Candidate, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import add_shape_derivatives, fit_shift
 from hybrid.diagnosis.evidence.shapes import (
     normalised_shapes,

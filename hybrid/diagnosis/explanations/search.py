@@ -13,10 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.bayes import PRIOR_FACTORS
 from hybrid.diagnosis.evidence.candidates import Candidate, Term, usual
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.belief import Belief, beliefs

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.evidence.products import Index
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.joint_laws import WAVES, joint_laws, waves
 from hybrid.diagnosis.explanations.transmission_laws import transmission_laws
