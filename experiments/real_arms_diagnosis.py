@@ -46,7 +46,8 @@ COMMAND = "python experiments/real_arms_diagnosis.py DATA_FOLDER"
 def measure(arm: Arm, data: Path) -> Score:
     """Diagnose one arm from all of its logs."""
     robot = Robot.load(data / arm.folder / "robot.urdf")
-    logs = read_recordings([data / arm.folder], joints=robot.joints)
+    read = read_recordings([data / arm.folder], joints=robot.joints)
+    logs = [replace(x, source=Path(x.source).name) for x in read]
     rng, start = np.random.default_rng(0), process_time()
     result = examine(robot, logs, cutoff=arm.cutoff)
     middle = process_time()
