@@ -304,7 +304,8 @@ def test_a_factor_is_common_within_a_twentieth():
         (180 / np.pi, "speeds look to be in degrees per second"),
         (30 / np.pi, "speeds look to be in revolutions per minute"),
         (np.pi / 180, "positions look to be in degrees"),
-        (1e3, "time looks to be in milliseconds"),
+        (1e3, "time looks to be in milliseconds"), (1e6, "in microseconds"),
+        (1e9, "in nanoseconds"),
     ],
 )  # fmt: skip
 def test_a_factor_is_that_of_a_unit_within_a_twentieth(unit, looks, off, near, way):

@@ -141,9 +141,13 @@ SWAPPED, SORTED = np.array([0, 3, 2, 1, 4, 5]), np.array([4, 2, 3, 5, 0, 1])
         (lambda s: columns(s, STRAIGHT, ("q", "tau"), TURNED), "the other way round"),
         (lambda s: columns(s, STRAIGHT, ("tau",), TURNED), "the other way round"),
         (lambda s: columns(s, STRAIGHT, ("tau",), -1.0), "the other way round"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), 0.001 ** (TURNED < 0)), "kN·m"),
+        (lambda s: columns(s, STRAIGHT, ("tau",), 1000.0 ** (TURNED < 0)), "mN·m"),
         (lambda s: columns(s, STRAIGHT, ("tau",), 0.01 ** (TURNED < 0)), "motor side"),
         (lambda s: columns(s, STRAIGHT, ("q",), np.rad2deg(1.0)), "degrees"),
         (lambda s: sped(s, 1e-3), "milliseconds"),
+        (lambda s: sped(s, 1e-6), "microseconds"),
+        (lambda s: sped(s, 1e-9), "nanoseconds"),
         (lambda s: sped(s, 0.1), "scaled by 10"),
         (lambda s: sped(s, 0.25), "scaled by 4"),
         (lambda s: sped(s, 0.5), "scaled by 2"),
@@ -172,7 +176,7 @@ def test_a_scale_has_to_explain_more_than_friction_leaves_and_a_sign_need_not():
     chain = arm("coman_like").chain
     ways = list(readings(chain, list(STRAIGHT), np.argsort(SORTED)))
     sign = next(x for x in ways if (x.factor == -1.0).any())
-    scale = next(x for x in ways if "motor side" in x.looks_like)
+    scale = next(x for x in ways if "mN·m" in x.looks_like)
     clock = next(x for x in ways if x.clock == 2.0)
     before, after = np.full(6, 0.002), np.full(6, 0.002)
     before[4], after[4] = 0.03, 0.008  # of the variance, as after a stop
@@ -227,6 +231,8 @@ def hum(v):
         (lambda v: v * 30 / np.pi, "revolutions per minute", "error"),
         (lambda v: np.deg2rad(v), "positions look to be in degrees", "error"),
         (lambda v: 1e3 * v, "milliseconds", "error"),
+        (lambda v: 1e6 * v, "microseconds", "error"),
+        (lambda v: 1e9 * v, "nanoseconds", "error"),
         (lambda v: 3.0 * v, "scaled by that", "error"),
         (of_one(lambda v: v[:, 2]), "looks like the speed of c", "error"),
         (of_one(hum), "does not follow dq2/dt", "warning"),

@@ -15,10 +15,15 @@ from hybrid.robot.chain import Chain
 
 _ROUND = "to count the other way round"
 _DEGREE = np.pi / 180
-_GEAR = 100.0  # ratio
-_MOTOR_SIDE = "to be of the motor side of a gear, or too small by as much"
+_UNITS = {
+    1e3: "to be in kN·m, or too small by as much",
+    1e2: "to be of the motor side of a gear, or too small by as much",
+    1e-3: "to be in mN·m, or too large by as much",
+}
 _CLOCKS = {
-    1e-3: "in milliseconds",  # of a rate above 1 kHz; else the step alone tells
+    1e-3: "in milliseconds",
+    1e-6: "in microseconds",
+    1e-9: "in nanoseconds",
     0.1: "scaled by 10",
     0.25: "scaled by 4",
     0.5: "scaled by 2",
@@ -103,9 +108,10 @@ def readings(
                 yield OtherReading(channels, joints, words, order, ones)
     if n > 1:
         yield OtherReading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
-        for j in moving:
-            each = np.where(kept == j, _GEAR, 1.0)
-            yield OtherReading(("tau",), (j,), _MOTOR_SIDE, kept, each)
+        for factor, words in _UNITS.items():
+            for j in moving:
+                each = np.where(kept == j, factor, 1.0)
+                yield OtherReading(("tau",), (j,), words, kept, each)
     turning = tuple(j for j in moving if chain.revolute[j])
     for joints in dict.fromkeys([turning, *((j,) for j in turning)]):
         each = np.where(np.isin(kept, joints), _DEGREE, 1.0)

@@ -71,9 +71,8 @@ def doubts_of_scale(
         severity = error_if(max(usual, 1 / usual) > _WRONG and known > 1)
         yield Doubt("tau", (), _text("tau", usual), remedy, severity, usual)
         return
-    # A tool may add much load at one joint, but not that of a unit; nothing removes it.
-    odd = ((each > 0) & (each < 1 / _WRONG)) | (each > _WRONG**2)
-    for j in np.flatnonzero(odd).tolist():
+    # A tool may add much load at one joint; nothing removes so much.
+    for j in np.flatnonzero((each > 0) & (each < 1 / _WRONG)).tolist():
         text = _text(recording.place("tau", j), each[j])
         yield Doubt("tau", (j,), text, _VALID, "error", each[j])
 

@@ -29,6 +29,8 @@ _UNITS = {
     30 / np.pi: ("v", "speeds look to be in revolutions per minute"),
     np.pi / 180: ("q", "positions look to be in degrees"),
     1e3: ("t", "time looks to be in milliseconds, or speeds"),
+    1e6: ("t", "time looks to be in microseconds"),
+    1e9: ("t", "time looks to be in nanoseconds"),
 }
 
 
