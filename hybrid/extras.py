@@ -8,8 +8,13 @@ from hybrid.errors import HybridError
 def check_extra(library: str, extra: str, purpose: str) -> None:
     """Refuse what needs a package that is not installed.
 
-    The error says which ``extra`` brings the ``library``; ``purpose`` starts its
-    sentence.
+    Args:
+        library: Name by which Python imports the package.
+        extra: Extra of this package that brings it.
+        purpose: What needs it, to start a sentence with.
+
+    Raises:
+        HybridError: The package is not installed; the line says how to install it.
     """
     if find_spec(library) is None:
         raise HybridError(

@@ -247,7 +247,10 @@ def test_a_full_disk_is_one_line_and_the_same_command_goes_on(
 def on_a_cluster(plan, out, when="", what=None):
     """Run a plan on a cluster to which something happens in between."""
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address="127.0.0.1:0",  # another test may have the usual port
     ) as cluster:
 
         def tell(text, done=None):

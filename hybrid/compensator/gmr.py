@@ -36,6 +36,14 @@ class Conditional(NamedTuple):
 
     With ``w_k = whitening_k z − centre_k``, component k is at squared Mahalanobis
     distance ``w_kᵀ w_k`` and predicts ``output_mean_k + gain_k w_k``.
+
+    Attributes:
+        whitening: Inverse Cholesky factor of Σ_xx, shape (K, d, d), dimensionless.
+        centre: Whitened input means, shape (K, d), dimensionless.
+        gain: Torque per whitened input, shape (K, m, d), [N·m].
+        output_mean: Output means, shape (K, m), [N·m].
+        output_variance: Conditional variance S, shape (K, m), [(N·m)²].
+        log_weight: Log of π_k over the volume of component k, shape (K,).
     """
 
     whitening: Array  # inverse Cholesky factor of Σ_xx, shape (K, d, d)

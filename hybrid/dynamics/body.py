@@ -57,7 +57,12 @@ class RigidBody:
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m].
 
-        It is linear in the changes of position, speed and acceleration, (N, n) each.
+        It is linear in the change.
+
+        Args:
+            dq: Change of position, shape (N, n), [rad].
+            dv: Change of speed, shape (N, n), [rad/s].
+            da: Change of acceleration, shape (N, n), [rad/s²].
         """
         total = np.zeros_like(self.motion.q)
         for j in range(self.chain.size):

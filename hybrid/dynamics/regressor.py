@@ -74,7 +74,13 @@ def regressor_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of ``sum(weight * regressor(chain, q, v, a))`` by the motion.
 
-    The weights have shape (N, n, 10n); those of joints beyond a link have no effect.
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+        v: Speeds, shape (N, n), [rad/s].
+        a: Accelerations, shape (N, n), [rad/s²].
+        weight: Weight of each entry of the regressor, shape (N, n, 10n). Entries of
+            joints beyond a link have no effect.
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).
@@ -91,7 +97,13 @@ def torque_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of one joint's rigid-body torque in each sample by the motion.
 
-    The link parameters have shape (n, 10), the joint's index in each sample (N,).
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+        v: Speeds, shape (N, n), [rad/s].
+        a: Accelerations, shape (N, n), [rad/s²].
+        inertial: Link parameters, shape (n, 10).
+        joint: Index of the joint in each sample, shape (N,).
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).

@@ -240,10 +240,16 @@ class Effect(InPlant, Instant, ABC):
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """Start values of the shapes by name, in addition to a grid.
+        """Start values of the shapes from the motions, in addition to a grid.
 
-        For laws that fit only near their own shapes, which motions with the delivered
-        and the commanded torque of a joint show.
+        For laws that fit only near their own shapes.
+
+        Args:
+            motions: Motions with the delivered and the commanded torque, [N·m].
+            j: Index of the joint.
+
+        Returns:
+            Value of every shape in its unit, by name; empty by default.
         """
         return {}
 

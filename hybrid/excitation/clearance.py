@@ -202,8 +202,12 @@ def point_change(
 ) -> Array:
     """Derivative by the joint positions of points along a direction, shape (N, n).
 
-    Points, shape (N, 3), [m], and directions, shape (N, 3), are in the base frame. The
-    link of the points is −1 for the base, and one for all or shape (N,).
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+        link: Link of the points, −1 for the base; one for all, or shape (N,).
+        point: Points in the base frame, shape (N, 3), [m].
+        direction: Direction in the base frame, shape (N, 3).
     """
     out = np.zeros_like(q)
     _, origin, axis = frames(chain, q)

@@ -196,11 +196,15 @@ def observe(
 
 
 def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
-    """Choices of base columns among the 10n of the regressor H, (rows, 10n), by name.
+    """Choices of base columns among the 10n of the regressor, by name.
 
     ``first independent columns`` goes from base to tip and keeps each column that does
     not depend on those before, the same for every motion. ``columns by pivoted QR``
     always takes the largest remaining one.
+
+    Args:
+        chain: The arm.
+        H: Observation matrix of all columns, shape (rows, 10n).
     """
     kept = stacked_base(chain, (), ()).kept
     _, order = qr(H, mode="r", pivoting=True)

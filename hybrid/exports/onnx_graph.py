@@ -52,7 +52,9 @@ class _Graph:
 def onnx_model(program: Program, manifest: Mapping[str, Any]) -> Any:
     """Build an ``onnx.ModelProto`` with the manifest in its metadata.
 
-    Inputs and outputs are those of :meth:`.Program.widths`, shape (N, width).
+    Inputs are q, v and a, shape (N, n), and if the program uses them t, step and known,
+    shape (N, 1), and memory, shape (N, s). Outputs are tau and variance, shape (N, n),
+    and memory_out, shape (N, s).
     """
     graph = _Graph()
     given, found = program.widths()

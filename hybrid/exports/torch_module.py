@@ -54,10 +54,11 @@ _BATCH = 3  # rows of the example for tracing
 
 
 class ProgramModule(torch.nn.Module):
-    """The program as a torch module.
+    """The program as a torch module, with the inputs and outputs of the ONNX export.
 
-    Inputs and outputs are those of :meth:`.Program.widths`, in this order, shape
-    (N, width).
+    Inputs are q, v and a, shape (N, n), and if the program uses them t, step and known,
+    shape (N, 1), and memory, shape (N, s), in this order. Outputs are tau and variance,
+    shape (N, n), and memory_out, shape (N, s), if there is memory.
     """
 
     def __init__(self, program: Program) -> None:

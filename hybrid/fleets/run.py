@@ -97,8 +97,11 @@ def answers(
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
     """Send messages to the workers, and yield name and answer as they arrive.
 
-    A job is a name, a message and a baseline; it may take ``limit`` seconds. The module
-    answers it, see :func:`hybrid.fleets.serving.serve`.
+    Args:
+        client: Client of the cluster.
+        jobs: Name, message and baseline of each job.
+        limit: Longest time for one job, [s].
+        module: Module that answers, see :func:`hybrid.fleets.serving.serve`.
     """
     from distributed import as_completed
 

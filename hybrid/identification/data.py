@@ -60,7 +60,15 @@ class Data:
         )
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
-        """Residual (N, n) of each motion, [N·m], by the solutions without each fold."""
+        """Residual of each sample by the solution without its fold.
+
+        Args:
+            problem: The linear problem.
+            theta: Solutions without each fold, shape (F, p).
+
+        Returns:
+            Unfiltered torque, shape (N, n) for each motion, [N·m].
+        """
         found = []
         for motion, fold in zip(self.motions, self.folds, strict=True):
             residual = np.empty_like(motion.tau)
@@ -77,7 +85,11 @@ class Data:
         return found
 
     def squares(self, residual: Sequence[Array]) -> Array:
-        """Squares of a residual in each block, where joints move, (B, n), [N²·m²]."""
+        """Squares of the moving joints in each block, shape (B, n), [N²·m²].
+
+        Args:
+            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
+        """
         label = np.concatenate(self.blocks)
         moves = np.concatenate([self.moves(m) for m in self.motions])
         squares = np.where(moves, np.concatenate(residual), 0.0) ** 2
@@ -124,7 +136,11 @@ class Data:
         return np.asarray(moves & motion.mask[:, None])
 
     def decimated(self, residual: Sequence[Array]) -> Residual:
-        """A residual (N, n) of each motion, [N·m], filtered, decimated and joined."""
+        """A residual filtered and decimated, all motions concatenated.
+
+        Args:
+            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
+        """
         parts = []
         for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
             sampler = Sampler.for_rate(motion.rate, self.cutoff)

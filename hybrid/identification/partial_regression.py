@@ -40,7 +40,13 @@ class PartialRegression:
 
     @classmethod
     def of(cls, solution: Solution, joint: int, rows: Array) -> PartialRegression:
-        """The regression about a solution, of columns, then residual, (d + 1, M)."""
+        """The regression about the values of a solution.
+
+        Args:
+            solution: The present terms of all joints.
+            joint: The joint that a new column acts on.
+            rows: Its columns, then the residual of the solution, shape (d + 1, M).
+        """
         products, theta = solution.products, solution.weighted.theta
         variance = np.diag(solution.sigma)
         weight = np.diag(variance[joint] / np.maximum(variance, 1e-300))
@@ -67,10 +73,15 @@ class PartialRegression:
     def cross_validated(
         self, waves: Array, fold: NDArray[np.intp]
     ) -> tuple[Array, Array]:
-        """Squared residuals on each fold by a fit on the other folds, [N²·m²].
+        """Squared residuals on each fold by a fit on the other folds.
+
+        Args:
+            waves: Pairs of columns, shape (K, 2, M).
+            fold: Fold of each sample, shape (M,).
 
         Returns:
-            Squares without a new pair, shape (F,), and with each of K, shape (K, F).
+            Squares without a new pair, shape (F,), and with each, shape (K, F),
+            [N²·m²].
         """
         folds, d = len(self.others[0]), len(self.columns)
         every = np.concatenate([self.columns, *waves, self.residual[None]])
@@ -94,7 +105,10 @@ class PartialRegression:
     ) -> bool:
         """F-test: whether the gains of a pair of columns differ from zero.
 
-        Noise may be correlated within a block; it passes with a probability ``chance``.
+        Args:
+            wave: Pair of columns, shape (2, M).
+            block: Block of each sample, shape (M,); noise may be correlated within one.
+            chance: Probability that noise alone passes.
         """
         gains, inverse, slopes, rest = self._fitted(wave)
         if _ridge(wave @ wave.T) * np.linalg.norm(inverse, 2) > 0.5:

@@ -50,7 +50,16 @@ class InstantLaws:
     def __call__(
         self, t: float, q: Array, v: Array, a: Array, load: Array, theta: Array
     ) -> Sequence[float]:
-        """Derivatives at an instant and a load (n,), [N·m], for ``places`` of a row."""
+        """Derivatives, for the places of a row in ``places``.
+
+        Args:
+            t: Time, [s].
+            q: Position, shape (n,), [rad].
+            v: Speed, shape (n,), [rad/s].
+            a: Acceleration, shape (n,), [rad/s²].
+            load: Torque of the rigid body, shape (n,), [N·m].
+            theta: Unknowns, shape (d,).
+        """
         signals = np.concatenate([q, v, a, load, theta[self._unknowns]])
         return self._law.at([t, *signals.tolist()])
 

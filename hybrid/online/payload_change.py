@@ -82,7 +82,9 @@ class PayloadChange:
     def detect(self, t: float, inflation: float) -> float | None:
         """The statistic of a change if one is detected, else None.
 
-        So many successive errors as ``inflation`` says count as one independent error.
+        Args:
+            t: Time, [s].
+            inflation: Number of successive errors that count as one independent error.
         """
         if self._ignore_until is None:
             self._ignore_until = t + _LEARNING

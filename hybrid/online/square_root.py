@@ -85,7 +85,12 @@ class SquareRootFilter:
         self.root = np.asfortranarray(upper.T)
 
     def clip(self, lower: Array, upper: Array) -> None:
-        """Project an estimate outside its bounds (d,) onto them, in its own metric."""
+        """Project an estimate outside its bounds onto them, in its own metric.
+
+        Args:
+            lower: Lowest values, shape (d,).
+            upper: Highest values, shape (d,).
+        """
         (passed,) = np.nonzero((self.mean < lower) | (self.mean > upper))
         if not passed.size:
             return

@@ -144,7 +144,12 @@ def encoder_readings(
 
 
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
-    """Refuse what is no effect, has no hook or law, or a joint out of range."""
+    """Check that a plant of n joints can simulate the effects.
+
+    Raises:
+        EffectError: An item is no effect, has neither a hook nor a law, or a joint out
+            of range.
+    """
     check_effects(effects)
     for effect in effects:
         if not (has_hook(effect) or isinstance(effect, JointEffect)):
@@ -161,8 +166,14 @@ def check_simulable(effects: Sequence[Effect], size: int) -> None:
 def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
     """Torque of rigid body, rotors and springs along a motion, without friction.
 
-    Position [rad], speed [rad/s], acceleration [rad/s²] and torque [N·m] have the
-    shape (N, n).
+    Args:
+        robot: The arm.
+        q: Position, shape (N, n), [rad].
+        v: Speed, shape (N, n), [rad/s].
+        a: Acceleration, shape (N, n), [rad/s²].
+
+    Returns:
+        Torque, shape (N, n), [N·m].
     """
     smooth = replace(robot, ripple=robot.ripple[:0])
     rigid = rigid_torque(robot.chain, robot.chain.inertial, q, v, a)

@@ -168,7 +168,11 @@ def with_curves(
 
 
 def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, (n,) each."""
+    """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, shape (n,) each.
+
+    Args:
+        values: ``stiffness`` and ``preload``, shape (n,).
+    """
     stiffness, preload = values["stiffness"], values["preload"]
     stiffness = np.where((stiffness == 0) & (preload != 0), _SOFTEST, stiffness)
     return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

@@ -100,7 +100,13 @@ class Noise:
     def apply(
         self, signals: dict[str, Array], *, rate: float, rng: np.random.Generator
     ) -> dict[str, Array]:
-        """Noisy signals from true q [rad], v [rad/s] and tau [N·m], shape (N, n)."""
+        """Noisy signals.
+
+        Args:
+            signals: True ``q`` [rad], ``v`` [rad/s] and ``tau`` [N·m], shape (N, n).
+            rate: Samples per second, [Hz].
+            rng: Source of the noise.
+        """
         shape = signals["q"].shape
         q = signals["q"] + self.position_std * rng.standard_normal(shape)
         step = np.where(self.position_resolution > 0, self.position_resolution, 1.0)

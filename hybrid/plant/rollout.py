@@ -35,7 +35,12 @@ class Windows:
     samples: int
 
     def of(self, signals: Sequence[Array], factor: int = 1) -> Array:
-        """Signals of motions, at a multiple of their rate, (factor·S + 1, B, ...)."""
+        """Signals in the windows, shape (factor·S + 1, B, ...).
+
+        Args:
+            signals: One for each motion, shape (factor·(N − 1) + 1, ...).
+            factor: Sampling rate of the signals over that of the motions.
+        """
         along = np.arange(factor * self.samples + 1)
         parts = [
             signals[m][np.minimum(factor * k + along, len(signals[m]) - 1)]

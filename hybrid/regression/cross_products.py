@@ -49,7 +49,13 @@ class Scores:
         blocks: Sequence[NDArray[np.intp]],
         folds: Sequence[NDArray[np.intp]],
     ) -> Self:
-        """Sums of nothing, of joints with rows of these ``sizes``."""
+        """Sums of nothing.
+
+        Args:
+            sizes: Number of rows of each joint.
+            blocks: Block of every sample, in one fold each, shape (N,) for each motion.
+            folds: Fold of every sample, shape (N,) for each motion.
+        """
         label, first = np.unique(np.concatenate(blocks), return_index=True)
         count = 1 + int(label.max())
         fold = np.zeros(count, dtype=np.intp)
@@ -57,7 +63,13 @@ class Scores:
         return cls(tuple(np.zeros((count, d, d)) for d in sizes), fold)
 
     def add(self, block: NDArray[np.intp], D: Array, moving: NDArray[np.bool_]) -> None:
-        """Add rows D (P, N) of samples with these blocks, where joints are moving."""
+        """Add rows of some samples.
+
+        Args:
+            block: Block of each sample, shape (N,).
+            D: Rows of all joints, shape (P, N).
+            moving: Whether each joint moves; it does not count where it stands, (n, N).
+        """
         own = np.split(D, np.cumsum([x.shape[1] for x in self.sums])[:-1])
         for sums, rows, moves in zip(self.sums, own, moving, strict=True):
             for start, stop in runs_of(block, moves.astype(int)):
@@ -66,9 +78,11 @@ class Scores:
                     sums[block[start]] += part @ part.T
 
     def squares(self, theta: Array, support: Sequence[NDArray[np.intp]]) -> Array:
-        """Squares of each block (B, n) by the solutions without each fold (F, p).
+        """Squared residuals of each block by the solution without its fold, (B, n).
 
-        Rows of a joint but the last, its torque, belong to the unknowns ``support``.
+        Args:
+            theta: Solutions without each fold, shape (F, p).
+            support: Unknown of each row of a joint but the last, its torque.
         """
         own = theta[self.fold]  # (B, p)
         found = np.empty((len(own), len(self.sums)))
@@ -160,7 +174,11 @@ class CrossProducts:
         return np.asarray(C.T @ (self.total if sums is None else sums) @ C)
 
     def held_out_squares(self, theta: Array) -> Array:
-        """Squares of each block (B, n) by the solutions without each fold (F, p)."""
+        """Squared residuals of each block by the solution without its fold, (B, n).
+
+        Args:
+            theta: Solutions without each fold, shape (F, p).
+        """
         assert self.scores is not None
         return self.scores.squares(theta, self.problem.support)
 

@@ -67,10 +67,16 @@ def thin(
 ) -> list[list[float | None]]:
     """Reduce curves to their ends and the lowest and highest point of each interval.
 
-    ``None`` breaks the lines where samples are missing, as their ``rows`` tell.
+    ``None`` breaks the lines where samples are missing.
+
+    Args:
+        x: Abscissa, shape (N,).
+        curves: Ordinates, each of shape (N,).
+        rows: Index of each sample in the gap, shape (N,).
+        most: Largest number of points of a curve.
 
     Returns:
-        The abscissa and each ordinate, at the same points, at most ``most``.
+        The abscissa and each ordinate, at the same points.
     """
     kept = extremes(curves, most)
     stretch = np.cumsum(np.diff(rows, prepend=rows[:1]) > 1)[kept]

@@ -38,7 +38,14 @@ _THICKEST = 24.0  # points
 
 @dataclass(frozen=True, eq=False)
 class Postures:
-    """K postures of an arm of n joints in the base frame."""
+    """K postures of an arm of n joints in the base frame.
+
+    Attributes:
+        joints: Origins of the base and the joints, shape (K, n + 1, 3), [m].
+        ends: End points of C capsules, shape (K, C, 2, 3), [m]; C is 0 if the robot
+            file has no geometry.
+        radius: Radii of the capsules, shape (C,), [m].
+    """
 
     joints: Array  # origins of the base and the joints, shape (K, n + 1, 3), [m]
     # End points of C capsules, shape (K, C, 2, 3), [m]; C is 0 if the robot file has no

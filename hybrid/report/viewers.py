@@ -33,7 +33,14 @@ _RADIUS = 0.02  # of the arm's length, of links without geometry
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Measured and simulated motion of an arm, N samples."""
+    """Measured and simulated motion of an arm, N samples.
+
+    Attributes:
+        robot: The arm.
+        t: Time, shape (N,), [s].
+        curves: Curves of the joints by kind and source, shape (N, n): positions,
+            [rad or m], torques and gaps, [N·m]; NaN where they are not known.
+    """
 
     robot: Robot
     t: Array  # time, shape (N,), [s]

@@ -201,9 +201,16 @@ def mujoco_tree(model: Any, where: str | Path) -> Tree:
 def joint_frame(
     model: Any, joint: int, R: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frame of a hinge or slide at position zero, and its offset in the body, [m].
+    """Frame of a hinge or slide at position zero.
 
-    The pose R, p of the body is that at the joint's position in the file.
+    Args:
+        model: MuJoCo's model.
+        joint: The joint.
+        R: Rotation of the body at the joint's position in the file, shape (3, 3).
+        p: Position of the body there, shape (3,), [m].
+
+    Returns:
+        Rotation and position of the frame, and its offset in the body, [m].
     """
     axis, offset = model.jnt_axis[joint], model.jnt_pos[joint]
     back = -model.qpos0[model.jnt_qposadr[joint]]

@@ -70,7 +70,11 @@ def servo_spec(
 
 
 def places(plays: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices in a compiled model: of all motor joints, and of joints for play."""
+    """Indices in a compiled model: of all motor joints, and of joints for play.
+
+    Args:
+        plays: Whether the gear of each joint has play, shape (n,).
+    """
     behind = np.cumsum(plays)
     own = np.arange(len(plays)) + behind - plays
     return own, own[plays] + 1
@@ -130,7 +134,12 @@ def _level(robot: Robot) -> float:
 
 
 def heights(robot: Robot, q: Array) -> Array:
-    """Heights of the centres of mass above the base, shape (N, n), [m]."""
+    """Heights of the centres of mass above the base, shape (N, n), [m].
+
+    Args:
+        robot: The arm.
+        q: Positions, shape (N, n), [rad].
+    """
     R, origin, _ = frames(robot.chain, q)
     centre = origin + np.einsum("kNij,kj->kNi", R, centres(robot))
     return np.asarray((centre @ _up(robot)).T)
@@ -201,7 +210,14 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
 
 
 def weight(model: Any, own: NDArray[np.intp], q: Array, v: Array) -> Array:
-    """Gravity, centrifugal and Coriolis torque at a state, shape (n,), [N·m]."""
+    """Gravity, centrifugal and Coriolis torque of a model, shape (n,), [N·m].
+
+    Args:
+        model: Compiled model.
+        own: Its motor joints, see :func:`places`.
+        q: Positions, shape (n,), [rad].
+        v: Speeds, shape (n,), [rad/s].
+    """
     import mujoco
 
     data = mujoco.MjData(model)

@@ -161,8 +161,11 @@ class Problem:
     ) -> tuple[Array, Array]:
         """Gauss–Newton matrix and gradient of the cost.
 
-        Slopes are of :meth:`slopes`; prior deviations may be others than those of the
-        file.
+        Args:
+            found: Where.
+            slopes: From :meth:`slopes`, shape (P, M, n).
+            noise: Weights of errors.
+            spread: Prior deviations, if others, shape (len(QUANTITIES), n).
         """
         spread = self.prior.spread if spread is None else spread
         weight = noise.weights(found.errors)

@@ -97,7 +97,15 @@ class Envelope:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A motion to run, with its conditions."""
+    """A motion to run, with its conditions.
+
+    Attributes:
+        name: Name, as it follows the word "run".
+        reference: The motion.
+        start: Time since the drives were switched on, [s].
+        mass: Payload at the centre of mass of the last link, [kg].
+        gains: Whether to run it with other servo gains as well.
+    """
 
     name: str  # as it follows the word "run"
     reference: Reference
@@ -118,7 +126,10 @@ class Experiment:
 class Menu:
     """Experiments with an arm that its limits and its links allow.
 
-    Their references have ``rate`` samples per second.
+    Args:
+        robot: The arm.
+        rng: Random generator of motions.
+        rate: Samples per second of the references, [Hz].
     """
 
     def __init__(self, robot: Robot, rng: np.random.Generator, *, rate: float) -> None:
@@ -139,7 +150,12 @@ class Menu:
         return Envelope.of(self._robot)
 
     def ladder(self, joint: int, *, longest: float = 4.0) -> tuple[Experiment, ...]:
-        """Motions of a joint at many speeds, each for up to ``longest`` seconds."""
+        """Motions of a joint at many speeds in both directions, if there is room.
+
+        Args:
+            joint: The joint.
+            longest: Longest time at one speed, [s].
+        """
         name = f"a ladder of speeds of {self._robot.joints[joint]}, up and down"
         return self._if_safe(name, self._of_one(speed_ladder, joint, longest=longest))
 

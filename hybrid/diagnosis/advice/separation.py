@@ -109,7 +109,17 @@ def decimated(gap: Gap) -> Gap:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """One of two explanations, fitted to the recordings."""
+    """One of two explanations, fitted to the recordings.
+
+    Attributes:
+        candidate: The effect in which it differs, with fitted gains.
+        others: The effects that both rivals share.
+        gains: Gains of the background, of the shared effects and of its own effect, and
+            small changes of its shapes, shape (k,).
+        precision: Inverse posterior covariance of these, shape (k, k).
+        prior: Inverse prior variance of what both share, shape (s,).
+        evidence: Log evidence of its own effect on the recordings, [nat].
+    """
 
     candidate: Candidate  # the effect in which it differs, with fitted gains
     others: tuple[Candidate, ...]  # the effects that both rivals share

@@ -39,7 +39,12 @@ _LEAST_FALL = 0.01  # of the squares of the residual
 
 @dataclass(frozen=True, eq=False)
 class Link(ExtraFindings):
-    """Findings between command and torque."""
+    """Findings between command and torque.
+
+    Attributes:
+        excess: Squares above noise of the servo laws without the effects found, by
+            block of time, shape (B, n), in units of noise; 0 without findings.
+    """
 
     # Squares above noise of the servo laws without the effects found, by block of time,
     # shape (B, n), in units of noise; 0 without findings.

@@ -21,7 +21,13 @@ _REPLACES = " It takes the place of the {} friction that the file declares."
 
 @dataclass(frozen=True, eq=False)
 class ExtraFindings:
-    """Findings that are not terms of the search."""
+    """Findings that are not terms of the search.
+
+    Attributes:
+        findings: Findings; their shares sum to 1.
+        effects: The effects found, joint by joint.
+        squares: Squares that they explain at each joint, shape (n,), in units of noise.
+    """
 
     findings: tuple[Finding, ...]  # their shares sum to 1
     effects: tuple[Effect, ...]  # the effects found, joint by joint

@@ -166,6 +166,10 @@ def windows_of(
 ) -> tuple[float | None, Windows]:
     """Choose windows without overlap in the usable samples of some motions.
 
+    Args:
+        usable: Mask of the usable samples of each motion, shape (N,) each.
+        rate: Samples per second, [Hz].
+
     Returns:
         Length of the windows, [s], and the windows; None and no windows if there are
         too few.

@@ -55,7 +55,12 @@ def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
 
 
 def reversals(v: Array, still: float) -> int:
-    """Count the changes of sign of a speed, (N,), without the samples at rest."""
+    """Count the changes of sign of a speed, without the samples at rest.
+
+    Args:
+        v: Speed, shape (N,), [rad/s].
+        still: Largest speed of a joint at rest, [rad/s].
+    """
     sign = np.sign(v[np.abs(v) > still])
     return int(np.count_nonzero(sign[1:] != sign[:-1]))
 

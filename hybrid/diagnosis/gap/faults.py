@@ -25,7 +25,13 @@ _UNDER_WAY, _BESIDE = 0.05, 3  # of the highest speed; samples to either side
 
 @dataclass(frozen=True, eq=False)
 class Faults:
-    """Samples of a recording that cannot be used."""
+    """Samples of a recording that cannot be used.
+
+    Attributes:
+        posture: Samples whose position is wrong, for all joints, shape (N,).
+        torque: Samples whose torque is wrong, shape (N, n).
+        notes: The same in words.
+    """
 
     # Samples whose position is wrong, for all joints, shape (N,).
     posture: NDArray[np.bool_]

@@ -31,6 +31,24 @@ class Gap:
     """Measured less simulated torque along some motions, filtered and decimated.
 
     M is the number of decimated samples of all motions, stacked.
+
+    Attributes:
+        robot: The simulator that is diagnosed.
+        motions: Motions with the simulated torque, of about twelve samples in a period
+            of the cut-off or the rate of the log. Columns made from the measured torque
+            would explain its noise.
+        bodies: The simulator's rigid body along each motion.
+        cutoff: Cut-off of the low-pass filter, [Hz].
+        period: Time between two samples of the logs, [s].
+        left: The gap, shape (M, n), [N·m].
+        moving: Whether a sample is used: the joint moves and the mask allows it,
+            shape (M, n).
+        fold: Cross-validation fold of each sample, shape (M,): a trajectory, or blocks
+            of 3 s where there are fewer than four trajectories.
+        trajectory: Recording of each sample, shape (M,).
+        notes: Which samples are not used, and why, in words.
+        subtracted: Torque that was subtracted from the logs before, shape (M, n),
+            [N·m].
     """
 
     robot: Robot  # the simulator that is diagnosed

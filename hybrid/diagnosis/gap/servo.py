@@ -39,6 +39,13 @@ class Law:
     The feed-forward torque F is that of the simulator along the command, its gravity,
     or zero. The commanded speed v_ref may be absent. h is k_d times the delay of the
     speed that the servo measures, which is filtered or a difference of positions.
+
+    Attributes:
+        columns: The law's columns as combinations of a joint's signals, shape (9, p).
+        target: The torque to be explained as a combination of them, shape (9,).
+        scaled: Whether the first column is the feed-forward torque (with the declared
+            servo, where gains are given), for logs whose torque is off by a factor.
+            Stiffness and damping, where free, come next.
     """
 
     # The law's columns as combinations of a joint's signals, shape (9, p).
@@ -67,7 +74,15 @@ def laws(kp: float = np.nan, kd: float = np.nan) -> Iterator[Law]:
 
 @dataclass(frozen=True, eq=False)
 class ServoLog:
-    """One joint's command, motion and torque, filtered as the gap is."""
+    """One joint's command, motion and torque, filtered as the gap is.
+
+    Attributes:
+        row: Samples of the gap, shape (M,).
+        t: Their time, with a pause between recordings, shape (M,), [s].
+        own: Gravity torque, position, speed and acceleration, shape (M, 4).
+        asked: Feed-forward torque, commanded position and speed, as functions of time.
+        torque: Logged torque, as a function of time.
+    """
 
     row: NDArray[np.intp]  # samples of the gap, shape (M,)
     t: Array  # their time, with a pause between recordings, shape (M,), [s]

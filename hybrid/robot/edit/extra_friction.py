@@ -27,7 +27,11 @@ def set_tendon(
 ) -> None:
     """Write forces on the sum of one or two joints to a tendon.
 
-    They are ``armature``, ``damping`` and ``frictionloss``, in SI units at the joints.
+    Args:
+        document: An MJCF file.
+        joints: One or two joints.
+        step: Time step of the file, [s].
+        forces: ``armature``, ``damping``, ``frictionloss``, SI units at the joints.
     """
     hard = {"solreffriction": (2 * step, 1.0), **HARD}
     hard = hard if forces["frictionloss"] else {}
