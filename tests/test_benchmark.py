@@ -316,7 +316,10 @@ def test_cases_go_to_workers_and_one_without_an_answer_counts_as_crashed(
 
     monkeypatch.setattr("hybrid.fleets.worker.Child", stand_in(answer))
     with LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+        n_workers=1,
+        threads_per_worker=2,
+        processes=False,
+        dashboard_address="127.0.0.1:0",
     ) as cluster:
         address = cluster.scheduler_address
         rows = run_cases(cases, tmp_path / "x.jsonl", scheduler=address)

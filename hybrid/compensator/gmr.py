@@ -46,12 +46,12 @@ class Conditional(NamedTuple):
         log_weight: Log of π_k over the volume of component k, shape (K,).
     """
 
-    whitening: Array  # inverse Cholesky factor of Σ_xx, shape (K, d, d)
-    centre: Array  # whitened input means, shape (K, d)
-    gain: Array  # torque per whitened input, shape (K, m, d), [N·m]
-    output_mean: Array  # shape (K, m), [N·m]
-    output_variance: Array  # conditional variance S, shape (K, m), [(N·m)²]
-    log_weight: Array  # log of π_k over the volume of component k, shape (K,)
+    whitening: Array
+    centre: Array
+    gain: Array
+    output_mean: Array
+    output_variance: Array
+    log_weight: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,11 +47,9 @@ class Postures:
         radius: Radii of the capsules, shape (C,), [m].
     """
 
-    joints: Array  # origins of the base and the joints, shape (K, n + 1, 3), [m]
-    # End points of C capsules, shape (K, C, 2, 3), [m]; C is 0 if the robot file has no
-    # geometry.
+    joints: Array
     ends: Array
-    radius: Array  # radii of the capsules, shape (C,), [m]
+    radius: Array
 
     @classmethod
     def of(cls, robot: Robot, q: Array) -> Postures:

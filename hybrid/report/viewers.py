@@ -43,9 +43,7 @@ class Scene:
     """
 
     robot: Robot
-    t: Array  # time, shape (N,), [s]
-    # Curves of the joints by kind and source, shape (N, n): positions, [rad or m],
-    # torques and gaps, [N·m]; NaN where they are not known.
+    t: Array
     curves: Mapping[str, Mapping[str, Array]]
 
     @property

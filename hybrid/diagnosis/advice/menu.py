@@ -107,11 +107,11 @@ class Experiment:
         gains: Whether to run it with other servo gains as well.
     """
 
-    name: str  # as it follows the word "run"
+    name: str
     reference: Reference
-    start: float = 0.0  # time since the drives were switched on, [s]
-    mass: float = 0.0  # payload at the centre of mass of the last link, [kg]
-    gains: bool = False  # whether to run it with other servo gains as well
+    start: float = 0.0
+    mass: float = 0.0
+    gains: bool = False
 
     @property
     def plain(self) -> bool:

@@ -121,14 +121,12 @@ class Rival:
         evidence: Log evidence of its own effect on the recordings, [nat].
     """
 
-    candidate: Candidate  # the effect in which it differs, with fitted gains
-    others: tuple[Candidate, ...]  # the effects that both rivals share
-    # Gains of the background, of the shared effects and of its own effect, and small
-    # changes of its shapes, shape (k,).
+    candidate: Candidate
+    others: tuple[Candidate, ...]
     gains: Array
-    precision: Array  # inverse posterior covariance of these, shape (k, k)
-    prior: Array  # inverse prior variance of what both share, shape (s,)
-    evidence: float  # log evidence of its own effect on the recordings, [nat]
+    precision: Array
+    prior: Array
+    evidence: float
 
     @property
     def effect(self) -> Effect:

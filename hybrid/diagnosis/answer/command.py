@@ -46,8 +46,6 @@ class Link(ExtraFindings):
             block of time, shape (B, n), in units of noise; 0 without findings.
     """
 
-    # Squares above noise of the servo laws without the effects found, by block of time,
-    # shape (B, n), in units of noise; 0 without findings.
     excess: Array
 
 

@@ -29,9 +29,8 @@ class ExtraFindings:
         squares: Squares that they explain at each joint, shape (n,), in units of noise.
     """
 
-    findings: tuple[Finding, ...]  # their shares sum to 1
-    effects: tuple[Effect, ...]  # the effects found, joint by joint
-    # Squares that they explain at each joint, shape (n,), in units of noise.
+    findings: tuple[Finding, ...]
+    effects: tuple[Effect, ...]
     squares: Array
 
     def merged(

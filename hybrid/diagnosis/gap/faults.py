@@ -33,10 +33,9 @@ class Faults:
         notes: The same in words.
     """
 
-    # Samples whose position is wrong, for all joints, shape (N,).
     posture: NDArray[np.bool_]
-    torque: NDArray[np.bool_]  # samples whose torque is wrong, shape (N, n)
-    notes: tuple[str, ...]  # the same in words
+    torque: NDArray[np.bool_]
+    notes: tuple[str, ...]
 
 
 def find_faults(recording: Recording) -> Faults:

@@ -51,22 +51,16 @@ class Gap:
             [N·m].
     """
 
-    robot: Robot  # the simulator that is diagnosed
-    # Motions with the simulated torque, of about twelve samples in a period of the
-    # cut-off or the rate of the log. Columns of the measured one explain its noise.
+    robot: Robot
     motions: tuple[Motion, ...]
-    bodies: tuple[RigidBody, ...]  # the simulator's rigid body along each motion
-    cutoff: float  # cut-off of the low-pass filter, [Hz]
-    period: float  # time between two samples of the logs, [s]
-    left: Array  # the gap, shape (M, n), [N·m]
-    # Whether a sample is used: the joint moves and the mask allows it, shape (M, n).
+    bodies: tuple[RigidBody, ...]
+    cutoff: float
+    period: float
+    left: Array
     moving: NDArray[np.bool_]
-    # Cross-validation fold of each sample, shape (M,): a trajectory, or blocks of 3 s
-    # where there are fewer than four trajectories.
     fold: NDArray[np.intp]
-    trajectory: NDArray[np.intp]  # recording of each sample, shape (M,)
-    notes: tuple[str, ...] = ()  # which samples are not used, and why, in words
-    # Torque that was subtracted from the logs before, shape (M, n), [N·m].
+    trajectory: NDArray[np.intp]
+    notes: tuple[str, ...] = ()
     subtracted: Array | None = None
     _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 

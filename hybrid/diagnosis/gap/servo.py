@@ -48,12 +48,8 @@ class Law:
             Stiffness and damping, where free, come next.
     """
 
-    # The law's columns as combinations of a joint's signals, shape (9, p).
     columns: Array
-    target: Array  # the torque to be explained as a combination of them, shape (9,)
-    # Whether the first column is the feed-forward torque (with the declared servo,
-    # where gains are given), for logs whose torque is off by a factor. Stiffness and
-    # damping, where free, come next.
+    target: Array
     scaled: bool
 
 
@@ -84,12 +80,11 @@ class ServoLog:
         torque: Logged torque, as a function of time.
     """
 
-    row: NDArray[np.intp]  # samples of the gap, shape (M,)
-    t: Array  # their time, with a pause between recordings, shape (M,), [s]
-    own: Array  # gravity torque, position, speed and acceleration, shape (M, 4)
-    # Feed-forward torque, commanded position and speed, as functions of time.
+    row: NDArray[np.intp]
+    t: Array
+    own: Array
     asked: CubicSpline
-    torque: CubicSpline  # logged torque, as a function of time
+    torque: CubicSpline
 
     def signals(self, late: float, shift: float) -> Array:
         """All signals at command latency T and torque delay S, [s], shape (M, 9)."""
