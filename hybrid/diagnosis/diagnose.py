@@ -45,7 +45,7 @@ from hybrid.signals import Motion
 from hybrid.threads import one_thread
 
 _EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
-_MISSED = 0.05  # share of all squares above noise, of a joint without a cause
+_MISSED = 0.05  # share of a joint's squares, of a gap without a cause
 _UNTESTED = (
     "{} acts only on the training samples: its shrinkage is measured on them, and not "
     "on unseen motions"
@@ -292,9 +292,9 @@ def _verdict(
     if not causes:
         missed = doubtful or found.missed.any() or wrong_simulator(gap) is not None
         return ("unexplained", 1.0) if missed else ("no_gap", 0.0)
-    share, whole = max(found.unknown, left), found.explained + found.missed
+    share = max(found.unknown, left)
     # The causes of other joints do not explain the gap of a joint without a cause.
-    alone = (found.missed > found.explained) & (found.missed > _MISSED * whole.sum())
+    alone = (found.missed > found.explained) & (found.missed > _MISSED * found.before)
     if 1.0 - share >= _EXPLAINED and not alone.any() and not doubtful:
         return "explained", share
     return "partly_explained", share

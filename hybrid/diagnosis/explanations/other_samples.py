@@ -22,6 +22,7 @@ from hybrid.diagnosis.gap.background import (
 if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.posterior import Posterior
 
+BLOCK_SECONDS = 1.0  # in which errors of an explanation hang together
 TAIL = 0.02  # of a term's squares, which a filter may spread to other samples
 
 
@@ -77,6 +78,16 @@ class OtherSamples:
     def residuals(self, causes: Sequence[Cause]) -> list[Array]:
         """Residual of each joint with the gains of the search, [N·m]."""
         return self.evidence.residuals(self.columns(causes), self._gains(causes))
+
+    def block_squares(self, causes: Sequence[Cause]) -> Array:
+        """:meth:`squares` of each second, in units of noise, summed over joints."""
+        count = len(self.use)
+        blocks = np.arange(count) // max(1, round(BLOCK_SECONDS * self._search.gap.rate))
+        total = np.zeros(count)
+        pairs = zip(self.residuals(causes), self.evidence.rows, strict=True)
+        for (left, rows), noise in zip(pairs, self._search.evidence.noise, strict=True):
+            total[rows] += left**2 / noise
+        return np.bincount(blocks, total)
 
     def tests(self, cause: Cause, causes: Sequence[Cause]) -> bool:
         """Whether one of some causes acts here, and not on the search's samples alone.

@@ -137,12 +137,18 @@ class Search(Moves):
         self._remove()
         for self.library_only in (True, False):
             self._converge()
-        now = self.score(self.causes) - self.file_error_odds(self.file_error)
-        self.evidence.scale_prior(self.numbers, before[1])
-        if self.score(before[0]) - self.file_error_odds(before[1]) > now:
+        now, loss = self._judged(self.causes, self.file_error)
+        then, lost = self._judged(*before)
+        if then > now or np.any(lost < loss):
             self.causes = before[0]
             self.set_file_error(before[1])
         self.evidence.scale_prior(self.numbers, self.file_error)
+
+    def _judged(self, causes: list[Cause], file_error: float) -> tuple[float, Array]:
+        """Score of an explanation with an error of the file, and its held-out loss."""
+        self.evidence.scale_prior(self.numbers, file_error)
+        score = self.score(causes) - self.file_error_odds(file_error)
+        return score, self.held_out_loss(causes)
 
     def _with_usual(self, causes: Sequence[Cause]) -> list[Cause]:
         """Some causes and the usual effects, with the most probable width of prior."""
