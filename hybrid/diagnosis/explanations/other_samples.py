@@ -81,13 +81,12 @@ class OtherSamples:
 
     def block_squares(self, causes: Sequence[Cause]) -> Array:
         """:meth:`squares` of each second, in units of noise, summed over joints."""
-        count = len(self.use)
-        blocks = np.arange(count) // max(1, round(BLOCK_SECONDS * self._search.gap.rate))
-        total = np.zeros(count)
+        total = np.zeros(len(self.use))
+        length = max(1, round(BLOCK_SECONDS * self._search.gap.rate))
         pairs = zip(self.residuals(causes), self.evidence.rows, strict=True)
         for (left, rows), noise in zip(pairs, self._search.evidence.noise, strict=True):
             total[rows] += left**2 / noise
-        return np.bincount(blocks, total)
+        return np.bincount(np.arange(len(total)) // length, total)
 
     def tests(self, cause: Cause, causes: Sequence[Cause]) -> bool:
         """Whether one of some causes acts here, and not on the search's samples alone.

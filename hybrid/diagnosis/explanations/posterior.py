@@ -279,8 +279,10 @@ class Posterior:
         seen, unseen = self.evidence, self.test.evidence
         fall = self.test.block_squares(causes) - self.test.block_squares(others)
         there = fall[fall != 0.0]
+        if not len(there):
+            return 0.0
         scale = seen.count.sum() / max(unseen.count.sum(), 1)
-        return float(np.std(there) * np.sqrt(len(there)) * scale / 2) if len(there) else 0.0
+        return float(np.std(there) * np.sqrt(len(there)) * scale / 2)
 
     def _simpler(self, c: Cause, rest: Sequence[Cause]) -> list[Cause]:
         """The simpler law that a cause becomes, unless it is among the rest."""
