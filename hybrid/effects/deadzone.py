@@ -27,8 +27,6 @@ class Deadzone(Effect):
 
     id = "deadzone"
     port = Port.DRIVE
-    # Within the zone, a few percent of the time, the torque has no known direction.
-    rough = 0.2
     gains = (Quantity("width", "N·m", 0.02, 0.0, 0.3, per=(1, 0)),)
     shapes = (
         # Torque over which a fit smooths the sign.
