@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Term
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.explanations.other_samples import BLOCK_SECONDS, TAIL
+from hybrid.diagnosis.explanations.other_samples import TAIL
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Gap
 
+_BLOCK_SECONDS = 1.0
 _INSTEAD = 0.7  # of the fall of a declared law, least gain of the law in its place
 _ORDERS = 24  # random orders of terms, each with its reverse
 
@@ -116,7 +117,7 @@ class Explanation:
     def blocks(self, i: int) -> NDArray[np.intp]:
         """Block of time of each test sample of a joint, for the bootstrap."""
         rows = self.evidence.rows[i]
-        length = max(1, round(BLOCK_SECONDS * self.gap.rate))
+        length = max(1, round(_BLOCK_SECONDS * self.gap.rate))
         return rows // length
 
 

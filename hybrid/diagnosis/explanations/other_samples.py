@@ -22,7 +22,6 @@ from hybrid.diagnosis.gap.background import (
 if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.posterior import Posterior
 
-BLOCK_SECONDS = 1.0  # in which errors of an explanation hang together
 TAIL = 0.02  # of a term's squares, which a filter may spread to other samples
 
 
@@ -79,14 +78,16 @@ class OtherSamples:
         """Residual of each joint with the gains of the search, [N·m]."""
         return self.evidence.residuals(self.columns(causes), self._gains(causes))
 
-    def block_squares(self, causes: Sequence[Cause]) -> Array:
-        """:meth:`squares` of each second, in units of noise, summed over joints."""
-        total = np.zeros(len(self.use))
-        length = max(1, round(BLOCK_SECONDS * self._search.gap.rate))
-        pairs = zip(self.residuals(causes), self.evidence.rows, strict=True)
-        for (left, rows), noise in zip(pairs, self._search.evidence.noise, strict=True):
-            total[rows] += left**2 / noise
-        return np.bincount(np.arange(len(total)) // length, total)
+    def second_squares(self, causes: Sequence[Cause]) -> Array:
+        """:meth:`squares` of each second, in units of noise, shape (n, seconds)."""
+        second = np.arange(len(self.use)) // max(1, round(self._search.gap.rate))
+        noise, squares = self._search.evidence.noise, np.zeros(len(self.use))
+        found = []
+        for i, left in enumerate(self.residuals(causes)):
+            squares[:] = 0.0
+            squares[self.evidence.rows[i]] = left**2 / noise[i]
+            found.append(np.bincount(second, squares))
+        return np.array(found)
 
     def tests(self, cause: Cause, causes: Sequence[Cause]) -> bool:
         """Whether one of some causes acts here, and not on the search's samples alone.

@@ -248,11 +248,11 @@ class Posterior:
     def unseen_gain(self, causes: Sequence[Cause]) -> dict[Cause, float]:
         """By how much each cause lowers :meth:`unseen_loss`, [nat].
 
-        The smaller fall of both losses counts, less the standard error of the second
-        one over stretches of time: a rise in some of them may be as large as the fall
-        in others. All other causes are refitted without it, and the simpler law that it
-        becomes may take its place. Of an event that is not on the test samples they say
-        nothing: infinite.
+        The smallest fall of both losses counts, and of the second one with the noise of
+        each second as the explanation leaves it: what is left of an unknown event may
+        be lowered by chance. All other causes are refitted without it, and the simpler
+        law that it becomes may take its place. Of an event that is not on the test
+        samples they say nothing: infinite.
         """
         if not causes:
             return {}
@@ -264,25 +264,22 @@ class Posterior:
                 continue
             rest = [x for x in causes if x is not c]
             others = [rest, *([*rest, x] for x in self._simpler(c, rest))]
-            fall = [self.unseen_loss(x) - whole for x in others]
-            doubt = [self._standard_error(x, causes) for x in others]
+            falls = [self.unseen_loss(x) - whole for x in others]
+            chance = [self._fall_by_chance(x, causes) for x in others]
             gains[c] = min(
-                float(min(own[0], own[1] - error))
-                for own, error in zip(fall, doubt, strict=True)
+                float(min(fall.min(), fall[1] - less))
+                for fall, less in zip(falls, chance, strict=True)
             )
         return gains
 
-    def _standard_error(
-        self, causes: Sequence[Cause], others: Sequence[Cause]
-    ) -> float:
-        """Standard error of the difference of two explanations' loss, [nat]."""
+    def _fall_by_chance(self, rest: Sequence[Cause], causes: Sequence[Cause]) -> float:
+        """Fall of the loss from some causes to more, where these leave much, [nat]."""
         seen, unseen = self.evidence, self.test.evidence
-        fall = self.test.block_squares(causes) - self.test.block_squares(others)
-        there = fall[fall != 0.0]
-        if not len(there):
-            return 0.0
+        before, after = map(self.test.second_squares, (rest, causes))
+        usual = np.array([np.median(x[x > 0]) if x.any() else 1.0 for x in after])
+        unusual = 1.0 - 1.0 / np.maximum(after / usual[:, None], 1.0)
         scale = seen.count.sum() / max(unseen.count.sum(), 1)
-        return float(np.std(there) * np.sqrt(len(there)) * scale / 2)
+        return float(np.sum(unusual * (before - after)) * scale / 2)
 
     def _simpler(self, c: Cause, rest: Sequence[Cause]) -> list[Cause]:
         """The simpler law that a cause becomes, unless it is among the rest."""
