@@ -65,6 +65,7 @@ class Lockstep:
         self._forces = self._views("qfrc_applied")
         # Whether the dofs are the motors, one by one, so that nothing is to be picked.
         self._alike = np.array_equal(arm.motor, np.arange(arm.model.nv))
+        self._motor = slice(None) if self._alike else arm.motor
         self._levels = [model.dof_frictionloss for model in self._models]
         self._applied = np.zeros((batch, arm.model.nv))
         self._friction = np.tile(self._declared, (batch, 1))
@@ -127,15 +128,16 @@ class Lockstep:
         """Write applied torque and friction levels into MuJoCo."""
         arm, laws, applied = self._arm, self._laws, self._applied
         if not len(laws):
-            applied[:, arm.motor] = delivered
+            applied[:, self._motor] = delivered
         else:
             motor, link = self._states()
             laws.evaluate(motor, link, arm.model.opt.timestep)
-            applied[:, arm.motor] = delivered - laws.drive - laws.link
-            applied[:, arm.deflection] = -laws.link[:, arm.elastic]
+            applied[:, self._motor] = delivered - laws.drive - laws.link
+            if len(arm.elastic):
+                applied[:, arm.deflection] = -laws.link[:, arm.elastic]
             # A single law may be negative; only the sum must not be.
-            level = self._declared[arm.motor] + motor.sign * laws.dry
-            self._friction[:, arm.motor] = np.maximum(level, 0.0)
+            level = self._declared[self._motor] + motor.sign * laws.dry
+            self._friction[:, self._motor] = np.maximum(level, 0.0)
             for target, row in zip(self._levels, self._friction, strict=True):
                 target[:] = row
         for force, row in zip(self._forces, applied, strict=True):
@@ -145,13 +147,13 @@ class Lockstep:
 
     def _push(self) -> None:
         """Apply the forces of the environment to the last link."""
-        tip = self._arm.tip
+        tip, now = self._arm.tip, self._datas[0].time
+        wrench = -np.sum([e.push(now) for e in self._pushing], axis=0)
         for data in self._datas:
-            wrench = -np.sum([e.push(data.time) for e in self._pushing], axis=0)
-            # MuJoCo needs the moment about the centre of mass.
-            lever = data.xpos[tip] - data.xipos[tip]
-            data.xfrc_applied[tip, :3] = wrench[:3]
-            data.xfrc_applied[tip, 3:] = wrench[3:] + np.cross(lever, wrench[:3])
+            data.xfrc_applied[tip] = wrench
+            if wrench.any():  # MuJoCo needs the moment about the centre of mass
+                lever = data.xpos[tip] - data.xipos[tip]
+                data.xfrc_applied[tip, 3:] += np.cross(lever, wrench[:3])
 
     def _states(self) -> tuple[JointState, JointState]:
         """States on the motor's and on the link's side, as inputs of the laws."""
@@ -159,8 +161,7 @@ class Lockstep:
         # held by friction creeps in that direction already.
         push = np.where(self._net_torque < 0.0, -1.0, 1.0)
         sign = np.where(self.v == 0.0, push, np.sign(self.v))
-        for row, data in zip(self._time, self._datas, strict=True):
-            row.fill(data.time)
+        self._time.fill(self._datas[0].time)
         warm = self.temperature
         motor = JointState(self._time, self.q, self.v, self.a, sign, self.load, warm)
         elastic = self._arm.elastic
