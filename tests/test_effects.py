@@ -82,7 +82,7 @@ def robot() -> Robot:
 @cache
 def reference() -> Reference:
     rng = np.random.default_rng(3)
-    return random_fourier(robot(), duration=3.5, rate=500, seed=rng)
+    return random_fourier(robot(), duration=4.0, rate=500, seed=rng)
 
 
 def log_of(*effects):

@@ -52,6 +52,8 @@ class Lockstep:
         self._laws = Laws(effects, batch, n)
         self._drives = [(e, e.actuator.get("lag", 0.0)) for e in effects if drives(e)]
         self._pushing = [e for e in effects if overrides(e, "push")]
+        # Whether a torque that is held acts on the arm as it is, and nothing else does.
+        self._plain = not (len(self._laws) or self._drives or self._pushing)
         self._before: dict[int, Array] = {}  # torque of lagging drives one step ago
         self._models = [copy.copy(arm.model) for _ in range(batch)]
         self._datas = [mujoco.MjData(model) for model in self._models]
@@ -102,13 +104,14 @@ class Lockstep:
         Raises:
             HybridError: The simulation diverges.
         """
-        for left in range(substeps, 0, -1):
+        count = substeps if self._plain else 1  # of physics steps at a time
+        for left in range(substeps - count, -1, -count):
             delivered = self._delivered(torque)
             self._act(delivered)
             for model, data in zip(self._models, self._datas, strict=True):
-                self._advance(model, data)
+                self._advance(model, data, count)
             self._read()
-            if len(self._laws) or left == 1:  # without laws nobody asks in between
+            if len(self._laws) or not left:  # without laws nobody asks in between
                 self._read_torque(delivered)
 
     def _delivered(self, torque: Array) -> Array:
@@ -159,8 +162,10 @@ class Lockstep:
         """States on the motor's and on the link's side, as inputs of the laws."""
         # A joint exactly at rest will move in the direction of the net torque. A joint
         # held by friction creeps in that direction already.
-        push = np.where(self._net_torque < 0.0, -1.0, 1.0)
-        sign = np.where(self.v == 0.0, push, np.sign(self.v))
+        sign = np.sign(self.v)
+        if not sign.all():
+            push = np.where(self._net_torque < 0.0, -1.0, 1.0)
+            sign = np.where(self.v == 0.0, push, sign)
         self._time.fill(self._datas[0].time)
         warm = self.temperature
         motor = JointState(self._time, self.q, self.v, self.a, sign, self.load, warm)
