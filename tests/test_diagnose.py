@@ -621,7 +621,7 @@ class TestSilence:
 
 
 class TestEvents:
-    def test_contacts_at_a_time_of_their_own_in_three_of_four_recordings_are_found(self):
+    def test_contacts_at_times_of_their_own_in_three_of_four_recordings_are_found(self):
         robot, free = logs([])
         starts, recordings, torques = {0: 2.2, 2: 1.6, 3: 0.9}, list(free), []
         for k, start in starts.items():

@@ -141,11 +141,11 @@ def log(
 
 @cache
 def found(folder, stiffness: float = 1.0, delay: float = 0.0):
-    """A fit of three logs; the elbow's servo may be softer than its file says."""
+    """A fit of two logs; the elbow's servo may be softer than its file says."""
     kp = np.array([25.0, 20.0 * stiffness])
     gain = np.zeros((2, 10))
     gain[:, 0] = kp
-    logs = [log(k, 6.0, delay, actuator_gainprm=gain) for k in range(3)]
+    logs = [log(k, 6.0, delay, actuator_gainprm=gain) for k in range(2)]
     return fit_servo(arm(folder), logs)
 
 
