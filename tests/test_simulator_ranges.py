@@ -173,7 +173,8 @@ def test_the_function_for_mjx_refuses_damping_that_jax_ignores(
 
 
 @pytest.mark.parametrize("format", ["mjcf", "urdf", "ranges"])
-def test_an_export_says_what_mjx_on_jax_does_not_take(format, tmp_path):
+def test_an_export_says_what_mjx_on_jax_does_not_take(format, tmp_path, monkeypatch):
+    monkeypatch.setattr("hybrid.exports.simulator.snippets._DRAWS", 8)
     model = fitted().model
     more = (
         effect_class("nonlinear_viscous")((0,), {"cubic": 0.02}),
