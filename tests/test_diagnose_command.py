@@ -44,7 +44,7 @@ def logged(*effects, integrator="implicitfast", control_rate=1000.0):
         plant = Plant(
             arm("planar"), effects, integrator=integrator, control_rate=control_rate
         )
-        recordings = simulate(plant, trajectories=4, duration=3.0, seed=1)
+        recordings = simulate(plant, trajectories=4, duration=4.0, seed=1)
         _KEPT[key] = declared(plant), recordings
     return _KEPT[key]
 

@@ -49,7 +49,7 @@ def logs(effects, noisy=False, trajectories=4, fundamental=None):
     robot, rng = arm("planar"), np.random.default_rng(4)
     references = [
         random_fourier(
-            robot, duration=4.0, rate=500.0, seed=rng, fundamental=fundamental
+            robot, duration=6.0, rate=500.0, seed=rng, fundamental=fundamental
         )
         for _ in range(trajectories)
     ]
