@@ -45,11 +45,17 @@ FORCES = ("force_x", "force_y")
 PUSH = {"force_x": 8.0, "force_y": -5.0, "start": 2.0, "duration": 0.8}
 
 
+_KEPT = {}
+
+
 def logs(effects, *, seed=1, duration=4.5, count=4, quiet=False):
-    robot = arm("planar")
-    noise = Noise.none(robot.size) if quiet else None
-    plant = Plant(robot, effects, nominal=robot, noise=noise)
-    return robot, simulate(plant, trajectories=count, duration=duration, seed=seed)
+    robot, key = arm("planar"), (repr(effects), seed, duration, count, quiet)
+    if key not in _KEPT:
+        noise = Noise.none(robot.size) if quiet else None
+        plant = Plant(robot, effects, nominal=robot, noise=noise)
+        found = simulate(plant, trajectories=count, duration=duration, seed=seed)
+        _KEPT[key] = tuple(found)
+    return robot, list(_KEPT[key])
 
 
 def named(result):
@@ -621,19 +627,20 @@ class TestSilence:
 
 
 class TestEvents:
-    def test_contacts_at_a_time_of_their_own_in_each_recording_are_found(self):
+    def test_contacts_at_times_of_their_own_in_three_of_four_recordings_are_found(self):
         robot, free = logs([])
-        starts, recordings, torques = (2.2, 3.1, 1.6, 0.9), [], []
-        for k, start in enumerate(starts):
+        starts, recordings, torques = {0: 2.2, 2: 1.6, 3: 0.9}, list(free), []
+        for k, start in starts.items():
             up = -9.0 if k else 9.0  # it would hardly turn a joint otherwise
             push = {"force_x": 12.0, "force_z": up, "start": start, "duration": 0.7}
-            touching = logs([Contact((0, 1), push)])[1][k]
-            recordings.append(touching)
+            touching = logs([Contact((0, 1), push)], count=k + 1)[1][k]
+            recordings[k] = touching
             during = (touching.t > start) & (touching.t < start + 0.7)
             torques.append((touching.tau - free[k].tau)[during, 0].mean())
         found = examine(robot, recordings).diagnosis
         assert [f.effect for f in found.findings] == ["contact"]
         assert found.verdict == "explained"
+        starts = starts.values()
         for event, start, torque in zip(found.events, starts, torques, strict=True):
             assert event.start == pytest.approx(start, abs=0.02)
             assert event.end == pytest.approx(start + 0.7, abs=0.03)

@@ -156,7 +156,7 @@ SPRUNG = replace(
 def sprung(**real):
     """Result for an arm whose file declares springs that the arm has in part."""
     plant = Plant(replace(SPRUNG, **real), [], nominal=SPRUNG)
-    return examine(SPRUNG, simulate(plant, trajectories=4, duration=6.0, seed=1))
+    return examine(SPRUNG, simulate(plant, trajectories=4, duration=4.5, seed=1))
 
 
 def test_a_spring_that_the_file_declares_is_no_cause():

@@ -60,7 +60,7 @@ def test_regressor_and_torque_of_a_known_arm_are_those_of_pinocchio(name):
     assert_like_pinocchio(robot, *random_states(robot.size, 40))
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seeds)
 def test_so_are_those_of_random_chains_with_sliding_and_oblique_joints(seed):
     robot = random_arm(seed)

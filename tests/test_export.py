@@ -383,10 +383,11 @@ import torch
 warnings.simplefilter("ignore")  # torch announces the end of TorchScript
 extra = {"manifest.json": ""}
 module = torch.jit.load(sys.argv[1], _extra_files=extra)
-given = np.load(sys.argv[2])
-tau, variance = module(*(torch.tensor(given[k]) for k in "qva"))
+for path in sys.argv[2:]:
+    given = np.load(path)
+    tau, variance = module(*(torch.tensor(given[k]) for k in "qva"))
+    np.savez(path, tau=tau.numpy(), variance=variance.numpy())
 assert "hybrid" not in sys.modules
-np.savez(sys.argv[3], tau=tau.numpy(), variance=variance.numpy())
 print(json.loads(extra["manifest.json"])["model_sha256"])
 """
 
@@ -394,18 +395,21 @@ print(json.loads(extra["manifest.json"])["model_sha256"])
 def test_torchscript_is_python_in_another_process_for_any_batch(folders, tmp_path):
     model = full_model()
     archive = folders / "torchscript" / "coman_like.pt"
-    for samples in (1, 500):
-        motion = motion_of(model.robot, samples, seed=samples)
-        np.savez(tmp_path / "given.npz", q=motion.q, v=motion.v, a=motion.a)
-        files = [archive, tmp_path / "given.npz", tmp_path / "found.npz"]
-        done = subprocess.run(
-            [sys.executable, "-c", LOADED, *map(str, files)],
-            capture_output=True, text=True,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        manifest = json.loads((archive.parent / "manifest.json").read_text())
-        assert done.stdout.strip() == manifest["model_sha256"]
-        found = np.load(tmp_path / "found.npz")
+    motions = {
+        tmp_path / f"{samples}.npz": motion_of(model.robot, samples, seed=samples)
+        for samples in (1, 500)
+    }
+    for path, motion in motions.items():
+        np.savez(path, q=motion.q, v=motion.v, a=motion.a)
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, str(archive), *map(str, motions)],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    manifest = json.loads((archive.parent / "manifest.json").read_text())
+    assert done.stdout.strip() == manifest["model_sha256"]
+    for path, motion in motions.items():
+        found = np.load(path)
         expected = model.predict(motion)
         np.testing.assert_allclose(found["tau"], expected, rtol=0, atol=1e-9)
         expected = model.remainder.predict_distribution(motion.q, motion.v)[1]

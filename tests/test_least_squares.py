@@ -315,11 +315,11 @@ def minute():
 
 @pytest.mark.parametrize("seconds", [0.0, 0.05, 0.2])
 def test_intervals_cover_the_truth_as_often_as_they_say(minute, seconds):
-    assert 0.92 <= hits(minute, 120, seconds).mean() <= 0.97
+    assert 0.92 <= hits(minute, 80, seconds).mean() <= 0.97
 
 
 def test_intervals_of_ordinary_least_squares_are_as_honest(minute):
-    assert 0.92 <= hits(minute, 120, 0.2, "ls").mean() <= 0.97
+    assert 0.92 <= hits(minute, 80, 0.2, "ls").mean() <= 0.97
 
 
 def test_intervals_of_six_joints_are_as_honest():

@@ -94,7 +94,7 @@ def exported(found: DynamicModel, kind: str):
 
 # Those for other simulators are below.
 @pytest.mark.parametrize("kind", sorted({*FORMATS} - {"isaaclab", "ranges"}))
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(arm=NAMES, joint=NAMES)
 @example(arm="../../../x", joint="a/../b")
 @example(arm="/tmp/evil", joint="*/ x /*")
@@ -126,7 +126,7 @@ def skeleton(text: str) -> str:
 PLAIN = "robot"
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(arm=NAMES, joint=NAMES)
 @example(arm="x", joint="*/ int evil(void) { return 1; } /*")
 @example(arm='"; } int evil(void) {', joint="*/\\")

@@ -52,7 +52,7 @@ def adds_up(health):
     return health.received == health.used + sum(getattr(health, x) for x in LEFT_OUT)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_storm_of_bad_samples_moves_no_estimate_by_its_uncertainty(seed):
     t, q, tau, _ = log()
     found = fed(damaged(t, q, tau, seed=seed))

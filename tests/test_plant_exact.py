@@ -163,6 +163,19 @@ def test_laws_of_one_kind_are_summed_joint_by_joint():
     np.testing.assert_allclose(laws.link, expected)
 
 
+@pytest.mark.parametrize("effects", [[], [Viscous((0,), {"coefficient": 0.8})]])
+def test_physics_steps_of_a_held_torque_are_those_of_as_many_calls(effects):
+    torque, start = np.array([[3.0], [-5.0]]), [[0.4], [-0.9]]
+    together, apart = (started(effects, start) for _ in "ab")
+    for substeps in (4, 3):
+        together.step(torque, substeps)
+        for _ in range(substeps):
+            apart.step(torque)
+        for name in ("q", "v", "a", "load"):
+            one, other = getattr(together, name), getattr(apart, name)
+            np.testing.assert_array_equal(one, other)
+
+
 def test_a_simulation_that_runs_away_names_its_time():
     state = started([], [[0.0]], 1e-3, time=2.0)
     with pytest.raises(HybridError, match=r"diverges at 2\.0\d\d s"):

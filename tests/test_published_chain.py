@@ -95,14 +95,14 @@ def test_bic_finds_how_many_components_a_mixture_has(count):
 
 @pytest.fixture(scope="module")
 def planar():
-    """A two-link arm with friction, a hose and grease; half of its logs are kept."""
+    """A two-link arm with friction, a hose and grease; two of its logs are kept."""
     robot = Robot.load(MODELS / "planar.xml")
     laws = [Coulomb((j,), {"level": 1.0}) for j in range(2)]
     laws += [Viscous((j,), {"coefficient": 0.5}) for j in range(2)]
     size = Scale(60.0, 2.0)
     hidden = unmodelled([size, size], np.random.default_rng(0))
     quiet = Noise.correlated(np.full(2, 0.05), 0.3)
-    logs = simulate(robot, [*laws, *hidden], trajectories=8, seed=1, noise=quiet)
+    logs = simulate(robot, [*laws, *hidden], trajectories=6, seed=1, noise=quiet)
     chain = published_chain(robot, logs[:4])
     last = chain.models["published, iterated"]
     rows = validate(replace(last, simpler=chain.models), logs[4:]).rows

@@ -141,11 +141,11 @@ def log(
 
 @cache
 def found(folder, stiffness: float = 1.0, delay: float = 0.0):
-    """A fit of three logs; the elbow's servo may be softer than its file says."""
+    """A fit of two logs; the elbow's servo may be softer than its file says."""
     kp = np.array([25.0, 20.0 * stiffness])
     gain = np.zeros((2, 10))
     gain[:, 0] = kp
-    logs = [log(k, 6.0, delay, actuator_gainprm=gain) for k in range(3)]
+    logs = [log(k, 6.0, delay, actuator_gainprm=gain) for k in range(2)]
     return fit_servo(arm(folder), logs)
 
 
@@ -193,7 +193,7 @@ def test_a_late_command_is_found_with_its_delay(folder):
 
 def test_a_limit_of_torque_far_below_that_of_the_file_is_found(folder):
     limits = np.array([[-4.0, 4.0], [-0.6, 0.6]])
-    logs = [log(k, seconds=6.0, actuator_forcerange=limits) for k in range(2)]
+    logs = [log(k, seconds=4.0, actuator_forcerange=limits) for k in range(2)]
     fit = fit_servo(arm(folder), logs)
     (stall,) = (x for x in fit.findings if x.joint == "elbow" and x.quantity == "stall")
     assert stall.value == pytest.approx(0.6, rel=0.1)
@@ -201,7 +201,7 @@ def test_a_limit_of_torque_far_below_that_of_the_file_is_found(folder):
 
 
 def test_a_file_says_a_dead_band_as_far_as_it_can(folder):
-    logs = [log(k, seconds=6.0, dead=0.05) for k in range(2)]
+    logs = [log(k, seconds=4.0, dead=0.05) for k in range(2)]
     fit = fit_servo(arm(folder), logs)
     assert ("dead_band", "shoulder") in {(x.quantity, x.joint) for x in fit.findings}
     assert fit.drive["dead_band"][0] == pytest.approx(0.05, rel=0.2)
@@ -226,7 +226,7 @@ def test_play_of_a_gear_is_found_and_measured(folder):
 def test_a_number_known_to_be_right_is_never_fitted(folder):
     gain = np.zeros((2, 10))
     gain[:, 0] = 25.0, 12.0
-    logs = [log(k, seconds=6.0, actuator_gainprm=gain) for k in range(2)]
+    logs = [log(k, seconds=4.0, actuator_gainprm=gain) for k in range(2)]
     k = NAMES.index("stiffness")
     fit = fit_servo(arm(folder), logs, without=[(k, 0), (k, 1)])
     for drive in (fit.drive, fit.plain_drive, fit.written):
@@ -457,7 +457,7 @@ def test_a_part_of_a_log_starts_with_the_goals_that_the_whole_has_there(changed)
 
 def test_a_joint_that_counts_the_other_way_is_found(robot):
     """Of two parallel axes either: both together mirror the arm, and it moves alike."""
-    way, logs = np.array([1.0, -1.0]), [log(k, 6.0) for k in range(3)]
+    way, logs = np.array([1.0, -1.0]), [log(k, 6.0) for k in range(2)]
     logs = [replace(x, q=way * x.q, command=way * x.command) for x in logs]
     fit = fit_servo(robot, logs)
     assert [x.quantity for x in fit.findings] == ["sign"]

@@ -212,7 +212,7 @@ def test_a_servo_s_torque_is_that_of_its_law():
         armature=[0.06, 0.04], stall=[12.0, 9.0], stiffness=[30.0, 22.0],
     )  # fmt: skip
     model = servo_spec(ROBOT).compile()
-    install(model, ROBOT, drive)
+    install(model, ROBOT, drive, mujoco.MjData(model))
     model.opt.timestep = 1e-7  # the bristles have no time to move
     data = mujoco.MjData(model)
     limited = 0
@@ -642,7 +642,7 @@ def test_a_written_file_has_the_numbers_of_the_model_that_is_replayed(tmp_path):
     write_servos(robot, drive, tmp_path / "new.xml")
     written = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
     model = servo_spec(robot, drive["zero"], drive["sign"]).compile()
-    install(model, robot, drive)
+    install(model, robot, drive, mujoco.MjData(model))
     for name in (
         "dof_damping", "dof_armature", "dof_frictionloss", "jnt_stiffness", "jnt_range",
         "qpos_spring", "jnt_axis", "body_mass", "body_inertia",

@@ -8,7 +8,12 @@ from hybrid.recording import Recording
 from hybrid.signals import Sampler, motion_from_recording
 from hybrid.signals import cutoff as cutoffs
 from hybrid.signals.cutoff import _power, blackman_harris, choose_cutoff
-from hybrid.signals.filters import butterworth, central_difference, filter_reach
+from hybrid.signals.filters import (
+    _continued,
+    butterworth,
+    central_difference,
+    filter_reach,
+)
 
 
 def record(q, rate, tau=None):
@@ -18,6 +23,13 @@ def record(q, rate, tau=None):
 
 
 # --- whole signals --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pad", [0, 1, 8, 9, 25])
+def test_beyond_its_ends_a_signal_is_reflected_about_them_as_often_as_needed(pad):
+    x = np.random.default_rng(0).standard_normal((2, 9))
+    odd = np.pad(x, ((0, 0), (pad, pad)), "reflect", reflect_type="odd")
+    np.testing.assert_array_equal(_continued(x, pad), odd)
 
 
 def test_the_gain_is_the_squared_one_of_its_order():

@@ -34,6 +34,14 @@ def fitted():
         return identify(robot, logs, stages=("rigid",), consistent=True)
 
 
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """What an export of ranges writes of that arm."""
+    folder = tmp_path_factory.mktemp("ranges")
+    export(fitted().model, folder, format="ranges")
+    return folder
+
+
 def test_draws_spread_as_the_covariance_says():
     fit = fitted()
     drawn = sample(fit.model, 300, np.random.default_rng(0))
@@ -63,17 +71,15 @@ def test_intervals_hold_the_truth_and_the_model():
     assert (found.low < found.high).all()
 
 
-def test_the_same_model_has_the_same_ranges_in_yaml(tmp_path):
+def test_the_same_model_has_the_same_ranges_in_yaml(exported, tmp_path):
     model = fitted().model
     model.save(tmp_path / "model.json")
     loaded = DynamicModel.load(tmp_path / "model.json")
     np.testing.assert_array_equal(loaded.covariance, model.covariance)
-    texts = []
-    for k, each in enumerate((model, loaded)):
-        export(each, tmp_path / str(k), format="ranges")
-        texts.append((tmp_path / str(k) / "planar_ranges.yaml").read_text())
-    assert texts[0] == texts[1]
-    content = read_yaml(tmp_path / "0" / "planar_ranges.yaml")
+    export(loaded, tmp_path / "again", format="ranges")
+    first, again = (x / "planar_ranges.yaml" for x in (exported, tmp_path / "again"))
+    assert first.read_text() == again.read_text()
+    content = read_yaml(first)
     first = content["parameters"][0]
     assert set(first) == {"joint", "name", "unit", "nominal", "interval"}
     assert len(content["correlation"]) == len(content["parameters"])
@@ -135,9 +141,8 @@ def test_isaac_lab_gets_friction_rotors_limits_and_delay(tmp_path, monkeypatch):
         assert own["viscous_friction"][name] == pytest.approx(robot.damping[j], rel=0.2)
 
 
-def test_events_of_isaac_lab_are_the_intervals(tmp_path, monkeypatch):
-    export(fitted().model, tmp_path, format="ranges")
-    found = run((tmp_path / "planar_isaaclab_events.py").read_text(), monkeypatch)
+def test_events_of_isaac_lab_are_the_intervals(exported, monkeypatch):
+    found = run((exported / "planar_isaaclab_events.py").read_text(), monkeypatch)
     low, high = ranges(fitted().model, np.random.default_rng(0), kind="urdf").of(
         "frictionloss"
     )
@@ -148,10 +153,9 @@ def test_events_of_isaac_lab_are_the_intervals(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("impl", ["jax", "warp"])
 def test_the_function_for_mjx_refuses_damping_that_jax_ignores(
-    impl, tmp_path, monkeypatch
+    impl, exported, monkeypatch
 ):
-    export(fitted().model, tmp_path, format="ranges")
-    text = (tmp_path / "planar_mjx.py").read_text()
+    text = (exported / "planar_mjx.py").read_text()
     library = types.SimpleNamespace(numpy=types.SimpleNamespace(array=list))
     monkeypatch.setitem(sys.modules, "jax", library)
     monkeypatch.setitem(sys.modules, "jax.numpy", library.numpy)
@@ -169,7 +173,8 @@ def test_the_function_for_mjx_refuses_damping_that_jax_ignores(
 
 
 @pytest.mark.parametrize("format", ["mjcf", "urdf", "ranges"])
-def test_an_export_says_what_mjx_on_jax_does_not_take(format, tmp_path):
+def test_an_export_says_what_mjx_on_jax_does_not_take(format, tmp_path, monkeypatch):
+    monkeypatch.setattr("hybrid.exports.simulator.snippets._DRAWS", 8)
     model = fitted().model
     more = (
         effect_class("nonlinear_viscous")((0,), {"cubic": 0.02}),
@@ -184,9 +189,8 @@ def test_an_export_says_what_mjx_on_jax_does_not_take(format, tmp_path):
     assert notes == ([] if format == "urdf" else lost)
 
 
-def test_the_function_for_mjx_draws_the_models_numbers(tmp_path):
-    export(fitted().model, tmp_path, format="ranges")
-    text = (tmp_path / "planar_mjx.py").read_text()
+def test_the_function_for_mjx_draws_the_models_numbers(exported):
+    text = (exported / "planar_mjx.py").read_text()
     names = {}
     exec(
         compile(

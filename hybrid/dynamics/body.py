@@ -39,6 +39,7 @@ class RigidBody:
         self.inertial = chain.inertial if inertial is None else inertial
         self._slopes_of = slopes_of
         self._known_slopes: dict[int, tuple[Array, Array, Array]] = {}
+        self._known_wrenches: dict[int, Array] = {}
 
     @cached_property
     def load(self) -> Array:
@@ -111,15 +112,17 @@ class RigidBody:
             Torque, shape (N, n, 6), per force [N] and moment [N·m] along the axes of
             the base frame, about the origin of the link's frame.
         """
-        _, origins, axes = self._frames
-        columns = np.zeros((*self.motion.q.shape, 6))
-        for j in range(link + 1):
-            if self.chain.revolute[j]:
-                columns[:, j, :3] = np.cross(axes[j], origins[link] - origins[j])
-                columns[:, j, 3:] = axes[j]
-            else:
-                columns[:, j, :3] = axes[j]
-        return columns
+        if link not in self._known_wrenches:
+            _, origins, axes = self._frames
+            columns = np.zeros((*self.motion.q.shape, 6))
+            for j in range(link + 1):
+                if self.chain.revolute[j]:
+                    columns[:, j, :3] = np.cross(axes[j], origins[link] - origins[j])
+                    columns[:, j, 3:] = axes[j]
+                else:
+                    columns[:, j, :3] = axes[j]
+            self._known_wrenches[link] = columns
+        return self._known_wrenches[link]
 
     @cached_property
     def _frames(self) -> tuple[Array, Array, Array]:

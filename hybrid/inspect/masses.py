@@ -79,7 +79,7 @@ class MassColumns:
         self._upper = np.full(len(self._scale), np.inf)
         self._upper[of_drives[:, _SPRING]] = strongest
         self._upper *= self._scale
-        self._all = self._sums(np.ones(samples, dtype=bool))
+        self._all = self._sums(slice(None))
         least = _TINY * self._all[2] + _NONE
         self._size = np.maximum(state.tau.var(axis=0), least)
         self._theta = np.zeros(len(self._scale))
@@ -133,13 +133,14 @@ class MassColumns:
             left.append((rest**2).mean(axis=0) / self._size)
         return np.asarray(np.clip(left, _NEGLIGIBLE, 1.0))
 
-    def _sums(self, use: NDArray[np.bool_]) -> _Sums:
+    def _sums(self, use: NDArray[np.bool_] | slice) -> _Sums:
         """Normal equations over some of the samples, (M,)."""
-        columns, tau, samples = self._columns[:, :, use], self._tau[use], len(use)
+        columns, tau = self._columns[:, :, use], self._tau[use]
+        samples = len(self._tau)
         normal = columns @ columns.swapaxes(1, 2)
         each, offsets = np.arange(len(columns))[:, None], self._offsets
         penalty = _OFFSET_PENALTY / self._scale[offsets]
-        normal[each, offsets, offsets] += penalty**2 * use.sum()
+        normal[each, offsets, offsets] += penalty**2 * len(tau)
         right = (columns @ tau).swapaxes(1, 2)
         return normal / samples, right / samples, (tau**2).sum(axis=0) / samples
 

@@ -56,13 +56,17 @@ class _Readings:
         each = np.arange(chain.size)
         self.written = OtherReading((), (), "", each, np.ones(len(each)))
         self._columns: dict[object, MassColumns] = {}
+        self._moved: dict[object, tuple[State, Array]] = {}
 
     def columns(self, reading: OtherReading, masses: str) -> MassColumns:
         """Columns along the motion of a reading."""
         key = masses, reading.motion
         if key not in self._columns:
-            moved = reading.moved(self.state)
-            Y = regressor(self.chain, moved.q, moved.v, moved.a)
+            if reading.motion not in self._moved:
+                moved = reading.moved(self.state)
+                Y = regressor(self.chain, moved.q, moved.v, moved.a)
+                self._moved[reading.motion] = moved, Y
+            moved, Y = self._moved[reading.motion]
             self._columns[key] = MassColumns(moved, self.masses[masses], Y)
         return self._columns[key]
 

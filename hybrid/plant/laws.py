@@ -33,11 +33,8 @@ class _Group:
             # sticking, and needs the level at the width down to standstill.
             speed = np.maximum(np.abs(state.v), self.shapes["width"])
             state = replace(state, v=state.sign * speed)
-        found: Any = 0.0
-        for gain, term in zip(self.gains, self.law(state, **self.shapes), strict=True):
-            if gain is not None:
-                found = found + gain * term
-        return found
+        terms = zip(self.gains, self.law(state, **self.shapes), strict=True)
+        return sum(gain * term for gain, term in terms if gain is not None)
 
 
 class Laws:

@@ -52,6 +52,8 @@ class Lockstep:
         self._laws = Laws(effects, batch, n)
         self._drives = [(e, e.actuator.get("lag", 0.0)) for e in effects if drives(e)]
         self._pushing = [e for e in effects if overrides(e, "push")]
+        # Whether a torque that is held acts on the arm as it is, and nothing else does.
+        self._plain = not (len(self._laws) or self._drives or self._pushing)
         self._before: dict[int, Array] = {}  # torque of lagging drives one step ago
         self._models = [copy.copy(arm.model) for _ in range(batch)]
         self._datas = [mujoco.MjData(model) for model in self._models]
@@ -65,6 +67,7 @@ class Lockstep:
         self._forces = self._views("qfrc_applied")
         # Whether the dofs are the motors, one by one, so that nothing is to be picked.
         self._alike = np.array_equal(arm.motor, np.arange(arm.model.nv))
+        self._motor = slice(None) if self._alike else arm.motor
         self._levels = [model.dof_frictionloss for model in self._models]
         self._applied = np.zeros((batch, arm.model.nv))
         self._friction = np.tile(self._declared, (batch, 1))
@@ -101,13 +104,14 @@ class Lockstep:
         Raises:
             HybridError: The simulation diverges.
         """
-        for left in range(substeps, 0, -1):
+        count = substeps if self._plain else 1  # of physics steps at a time
+        for left in range(substeps - count, -1, -count):
             delivered = self._delivered(torque)
             self._act(delivered)
             for model, data in zip(self._models, self._datas, strict=True):
-                self._advance(model, data)
+                self._advance(model, data, count)
             self._read()
-            if len(self._laws) or left == 1:  # without laws nobody asks in between
+            if len(self._laws) or not left:  # without laws nobody asks in between
                 self._read_torque(delivered)
 
     def _delivered(self, torque: Array) -> Array:
@@ -127,15 +131,16 @@ class Lockstep:
         """Write applied torque and friction levels into MuJoCo."""
         arm, laws, applied = self._arm, self._laws, self._applied
         if not len(laws):
-            applied[:, arm.motor] = delivered
+            applied[:, self._motor] = delivered
         else:
             motor, link = self._states()
             laws.evaluate(motor, link, arm.model.opt.timestep)
-            applied[:, arm.motor] = delivered - laws.drive - laws.link
-            applied[:, arm.deflection] = -laws.link[:, arm.elastic]
+            applied[:, self._motor] = delivered - laws.drive - laws.link
+            if len(arm.elastic):
+                applied[:, arm.deflection] = -laws.link[:, arm.elastic]
             # A single law may be negative; only the sum must not be.
-            level = self._declared[arm.motor] + motor.sign * laws.dry
-            self._friction[:, arm.motor] = np.maximum(level, 0.0)
+            level = self._declared[self._motor] + motor.sign * laws.dry
+            self._friction[:, self._motor] = np.maximum(level, 0.0)
             for target, row in zip(self._levels, self._friction, strict=True):
                 target[:] = row
         for force, row in zip(self._forces, applied, strict=True):
@@ -145,22 +150,23 @@ class Lockstep:
 
     def _push(self) -> None:
         """Apply the forces of the environment to the last link."""
-        tip = self._arm.tip
+        tip, now = self._arm.tip, self._datas[0].time
+        wrench = -np.sum([e.push(now) for e in self._pushing], axis=0)
         for data in self._datas:
-            wrench = -np.sum([e.push(data.time) for e in self._pushing], axis=0)
-            # MuJoCo needs the moment about the centre of mass.
-            lever = data.xpos[tip] - data.xipos[tip]
-            data.xfrc_applied[tip, :3] = wrench[:3]
-            data.xfrc_applied[tip, 3:] = wrench[3:] + np.cross(lever, wrench[:3])
+            data.xfrc_applied[tip] = wrench
+            if wrench.any():  # MuJoCo needs the moment about the centre of mass
+                lever = data.xpos[tip] - data.xipos[tip]
+                data.xfrc_applied[tip, 3:] += np.cross(lever, wrench[:3])
 
     def _states(self) -> tuple[JointState, JointState]:
         """States on the motor's and on the link's side, as inputs of the laws."""
         # A joint exactly at rest will move in the direction of the net torque. A joint
         # held by friction creeps in that direction already.
-        push = np.where(self._net_torque < 0.0, -1.0, 1.0)
-        sign = np.where(self.v == 0.0, push, np.sign(self.v))
-        for row, data in zip(self._time, self._datas, strict=True):
-            row.fill(data.time)
+        sign = np.sign(self.v)
+        if not sign.all():
+            push = np.where(self._net_torque < 0.0, -1.0, 1.0)
+            sign = np.where(self.v == 0.0, push, sign)
+        self._time.fill(self._datas[0].time)
         warm = self.temperature
         motor = JointState(self._time, self.q, self.v, self.a, sign, self.load, warm)
         elastic = self._arm.elastic

@@ -145,8 +145,11 @@ def heights(robot: Robot, q: Array) -> Array:
     return np.asarray((centre @ _up(robot)).T)
 
 
-def install(model: Any, robot: Robot, drive: Drive) -> None:
-    """Set the servo parameters in a compiled model with a dcmotor at every joint."""
+def install(model: Any, robot: Robot, drive: Drive, data: Any) -> None:
+    """Set the servo parameters in a compiled model with a dcmotor at every joint.
+
+    ``data`` is that of a model with the same joints; its state is lost.
+    """
     for name, x in motors(robot, drive).items():
         getattr(model, f"actuator_{name}")[:, : x.shape[1]] = x
     model.actuator_forcelimited[:] = 0
@@ -167,7 +170,7 @@ def install(model: Any, robot: Robot, drive: Drive) -> None:
 
         model.body_mass[1:] *= drive["mass"]
         model.body_inertia[1:] *= drive["mass"][:, None]
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        mujoco.mj_setConst(model, data)
 
 
 def motors(robot: Robot, drive: Drive) -> dict[str, Array]:
@@ -209,18 +212,18 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
     return stiffness, relaxed + drive["offset"] / stiffness
 
 
-def weight(model: Any, own: NDArray[np.intp], q: Array, v: Array) -> Array:
+def weight(model: Any, data: Any, own: NDArray[np.intp], q: Array, v: Array) -> Array:
     """Gravity, centrifugal and Coriolis torque of a model, shape (n,), [N·m].
 
     Args:
         model: Compiled model.
+        data: Its data, or that of a model with the same joints.
         own: Its motor joints, see :func:`places`.
         q: Positions, shape (n,), [rad].
         v: Speeds, shape (n,), [rad/s].
     """
     import mujoco
 
-    data = mujoco.MjData(model)
     data.qpos[own], data.qvel[own] = q, v
     mujoco.mj_forward(model, data)
     return np.array(data.qfrc_bias[own])

@@ -70,7 +70,7 @@ class ServoSimulator:
             check_gpu()
             self.roll = GpuRollout(robot)
         self._declared = Drive.declared(robot)
-        self._models: dict[tuple[float, bytes], Any] = {}
+        self._models: dict[tuple[float, bytes], tuple[Any, Any]] = {}
 
     def with_step(self, step: float) -> ServoSimulator:
         """A copy with another longest step, [s]."""
@@ -109,33 +109,40 @@ class ServoSimulator:
         """Prepare the replays of every stretch with each of some servos."""
         runs = []
         for drive in drives:
-            models: dict[float, Any] = {}  # by step
+            models: dict[float, tuple[Any, Any]] = {}  # by step
             runs += [self._run(drive, stretch, models) for stretch in stretches]
         return runs
 
     def _run(
-        self, drive: Drive | None, stretch: Stretch, models: dict[float, Any]
+        self,
+        drive: Drive | None,
+        stretch: Stretch,
+        models: dict[float, tuple[Any, Any]],
     ) -> Run:
         parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
         step, own = round(stretch.step / parts, 9), drive or self._declared
         if step not in models:
             models[step] = self._model(drive, step)
         control = stretch.goals(own["delay"], own["pace"], parts)
-        state = self._state(models[step], drive, stretch, control[0])
-        return Run(stretch, parts, models[step], state, control, own)
+        state = self._state(*models[step], drive, stretch, control[0])
+        return Run(stretch, parts, models[step][0], state, control, own)
 
-    def _model(self, drive: Drive | None, step: float) -> Any:
+    def _model(self, drive: Drive | None, step: float) -> tuple[Any, Any]:
+        """A model of the servo, and data that models with its joints share."""
         key = step, _turned(drive)
         if key not in self._models:
             if len(self._models) > _MODELS:
                 self._models.clear()
             self._models[key] = self._compiled(drive, step)
-        model = copy.copy(self._models[key])
+        compiled, data = self._models[key]
+        model = copy.copy(compiled)
         if drive is not None:
-            install(model, self.robot, drive)
-        return model
+            install(model, self.robot, drive, data)
+        return model, data
 
-    def _compiled(self, drive: Drive | None, step: float) -> Any:
+    def _compiled(self, drive: Drive | None, step: float) -> tuple[Any, Any]:
+        import mujoco
+
         if drive is None:
             spec = declared_spec(self.robot)
         else:
@@ -145,17 +152,22 @@ class ServoSimulator:
             lay_ground(spec, self.robot)
         model = spec.compile()
         model.opt.timestep = step
-        return model
+        return model, mujoco.MjData(model)
 
     def _state(
-        self, model: Any, drive: Drive | None, stretch: Stretch, first: Array
+        self,
+        model: Any,
+        data: Any,
+        drive: Drive | None,
+        stretch: Stretch,
+        first: Array,
     ) -> Array:
         """Time, positions, speeds, and bends of the bristles if there are any."""
         own, behind = places(plays := (drive or self._declared).plays)
         q, v, bent = np.zeros(model.nq), np.zeros(model.nv), np.zeros(0)
         q[own], v[own] = stretch.q[0], stretch.v
         if drive is not None:
-            down = weight(model, own, stretch.q[0], stretch.v)
+            down = weight(model, data, own, stretch.q[0], stretch.v)
             bent = bristles(drive, stretch, first, down)
             # The weight of the link presses it against one side of the gap.
             q[behind] = -np.sign(down[plays]) * drive["play"][plays]

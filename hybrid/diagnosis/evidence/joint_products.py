@@ -100,7 +100,8 @@ class JointProducts:
             Those with the base, shape (k, p); within them; and with the gap, (p,).
         """
         white = self.whiten(x)
-        return base @ self._weighted(x), white.T @ white, self._weighted_left @ x
+        weighted = x if self._noise is None else self._noise.weight_white(white)
+        return base @ weighted, white.T @ white, self._weighted_left @ x
 
     def _update(self) -> None:
         """Compute the products of columns that are new since the last time."""

@@ -58,7 +58,11 @@ class Noise:
 
     def weight(self, x: Array) -> Array:
         """Samples times the inverse covariance of the process, shape (R, ...)."""
-        return np.asarray(self._transposed @ (self._matrix @ x))
+        return self.weight_white(self.whiten(x))
+
+    def weight_white(self, white: Array) -> Array:
+        """What :meth:`weight` gives of samples, from the whitened ones."""
+        return np.asarray(self._transposed @ white)
 
 
 def _predictors(covariance: Array) -> Array:
