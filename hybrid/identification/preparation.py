@@ -34,6 +34,7 @@ _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _WORKING_RATE = 12.5  # of the cut-off: sampling rate of the decimated motions
 _ALIAS_FREE = 5.0  # of the cut-off: torque below this is kept, above 6 is removed
 STANDING = 0.01  # of the highest speed
+SLOWEST = 0.002  # rad/s or m/s, speed that noise shows at rest
 FEWEST_PERIODS = 3.0  # of the cut-off in a recording; filter edges take 2.3 of them
 _WORTH_HALVING = 0.05  # relative fall of the error from which the cut-off is halved
 _MOST_HALVINGS = 3  # of the cut-off from the spectrum of the positions
@@ -129,7 +130,7 @@ def prepare(
     motions = [decimated_motion(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
-    standing = STANDING * fastest(motions)
+    standing = np.maximum(STANDING * fastest(motions), SLOWEST)
     return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
 
 
