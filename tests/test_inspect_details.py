@@ -387,6 +387,27 @@ def test_a_glitch_is_told_with_the_positions_beside_it(sign):
     assert beside in doubt.text and x[199] != x[201] and "row 201" in doubt.line
 
 
+@pytest.mark.parametrize(
+    ("peak", "rows", "told"), [(51, 4, 1), (-51, 19, 1), (49, 4, 0), (51, 21, 0)]
+)
+def test_a_torque_that_jumps_above_five_ratings_is_no_torque(peak, rows, told):
+    """Of more than a twentieth of all rows, the unit or the rating is wrong."""
+    rated = replace(pendulum(), tau_max=np.array([10.0]))
+    tau = 4 * SMOOTH[:400, None]
+    tau[100 : 100 + rows] = peak
+    found = list(doubts_of_rows(log(SMOOTH[:400], T[:400], tau), rated))
+    assert [(x.evidence, x.is_error) for x in found] == [(rows, True)] * told
+    assert all(f"row 101 (data rows count from 1): jumps to {peak}," in x.text
+               for x in found)  # fmt: skip
+
+
+def test_the_torques_of_two_joints_are_never_the_same():
+    tau = np.stack([SMOOTH, 2 * SMOOTH, SMOOTH, 0 * SMOOTH, 0 * SMOOTH], axis=1)
+    both = Recording(T, tau, tau=tau, source="log")
+    (found,) = [x for x in doubts_of_samples(both) if "same in every row" in x.text]
+    assert found.joints == (0, 2) and found.is_error
+
+
 def test_glitches_are_told_apart_from_seven_rows_on_and_are_no_jumps():
     """The bend of one reaches five rows to the bend of another."""
     (both,) = doubts_of_rows(log(moved([200, 207], 0.3)))
