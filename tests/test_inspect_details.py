@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pendulum import pendulum, swings, with_torque
+from scipy.signal import lfilter
 from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
@@ -330,6 +331,32 @@ def test_what_motion_tells_of_links_and_drives_is_named():
     assert 1.0 < found.condition < 30.0
     assert {"Fv_1", "Fc_1", "offset_1"} & set(found.untold)
     assert not {x for x in found.untold if x.startswith(("mz", "Ia"))}
+
+
+def excitation(v, noise=0.0, memory=0.0, seed=0):
+    """What is told of a pendulum at 50 samples a second, in a torque with noise."""
+    time = np.arange(len(v)) / 50.0
+    q, a = np.cumsum(v)[:, None] / 50.0, np.gradient(v, time)[:, None]
+    random = np.random.default_rng(seed).normal(size=len(v)) * np.sqrt(1 - memory**2)
+    tau = 7 * np.sin(q) + 0.5 * a + noise * lfilter([1], [1, -memory], random)[:, None]
+    unknown = np.full(1, np.nan)
+    state = State(q, v[:, None], a, tau, None, unknown, unknown)
+    return excitation_of(pendulum().chain, state)
+
+
+def test_dry_friction_is_not_told_from_an_offset_where_a_joint_turns_one_way():
+    found = excitation(4.0 + 0.8 * np.sin(np.arange(400) / 20.0), noise=0.1)
+    assert {"Fc_1", "offset_1"} <= set(found.untold)
+    assert found.condition == np.inf
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.95])
+def test_noise_that_lasts_is_taken_for_no_parameter(memory):
+    """At 95 % confidence, one in twenty of what is not there may be told."""
+    v = 0.9 * np.sin(np.arange(400) / 20.0) + 0.5 * np.sin(np.arange(400) / 6.1)
+    untold = [excitation(v, 0.5, memory, seed).untold for seed in range(40)]
+    absent = [x in names for names in untold for x in ("Fv_1", "Fc_1", "offset_1")]
+    assert np.mean(absent) > 0.85
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

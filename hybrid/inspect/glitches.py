@@ -80,15 +80,17 @@ def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
 
 def _bursts(recording: Recording, robot: Robot) -> Iterator[Doubt]:
     """Find torques that jump far above the rating of their drive."""
-    for joint, (x, rated) in enumerate(zip(recording.tau.T, robot.tau_max, strict=True)):
+    for joint, (x, rated) in enumerate(
+        zip(recording.tau.T, robot.tau_max, strict=True)
+    ):
         step = np.abs(np.diff(x, prepend=x[0]))
         over = np.abs(x) > OVERLOAD * rated
         leaps = np.flatnonzero(over & (step > _LEAP * np.quantile(step, 0.99)))
         if leaps.size and over.mean() < _RARE:
             row, count = int(leaps[0]), int(over.sum())
             text = (
-                f"{recording.place('tau', joint, row)}: jumps to {x[row]:.6g}, the first "
-                f"of {count} above {OVERLOAD:g} times the drive's {rated:g}"
+                f"{recording.place('tau', joint, row)}: jumps to {x[row]:.6g}, the "
+                f"first of {count} above {OVERLOAD:g} times the drive's {rated:g}"
             )
             remedy = "valid are torques that a drive gives: leave such rows out"
             yield Doubt("tau", (joint,), text, remedy, "error", count, rows=True)
