@@ -317,6 +317,17 @@ def test_a_continuous_joint_has_no_position_limit_and_one_coordinate(tmp_path):
     assert robot.pinocchio().nq == 1
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_limits_of_zero_are_none(tmp_path, kind):
+    """Exporters of CAD write them where none was given."""
+    none = "<limit lower='0' upper='0' effort='0' velocity='0'/>"
+    robot = Robot.load(
+        urdf(tmp_path, f"<joint name='j' type='{kind}'>{ENDS}{none}</joint>")
+    )
+    assert (robot.q_min, robot.q_max) == (-np.inf, np.inf)
+    assert (robot.v_max, robot.tau_max) == (np.inf, np.inf)
+
+
 def test_a_prismatic_joint_carries_the_weight_of_its_link(tmp_path):
     joint = f"<joint name='j' type='prismatic'>{ENDS}{LIMIT.format('')}</joint>"
     robot = Robot.load(urdf(tmp_path, joint))

@@ -52,6 +52,16 @@ def test_a_log_that_the_model_was_identified_from_is_no_validation(fit, logs, tm
     validate(loaded, [replace(logs[2], tau=1.1 * logs[2].tau), logs[3]])
 
 
+def test_a_log_that_is_given_twice_counts_once(logs):
+    """A copy in another fold would be no motion that the fit has not seen."""
+    copy = replace(logs[0], source="copy")
+    twice, warnings = quiet(identify, arm("planar"), [*logs[:3], copy])
+    assert f"copy: the same log as {logs[0].source}; it counts once" in warnings
+    once, _ = quiet(identify, arm("planar"), logs[:3])
+    np.testing.assert_array_equal(twice.estimate.theta, once.estimate.theta)
+    assert twice.model.logs == once.model.logs
+
+
 def test_the_other_part_of_a_log_is_a_validation(logs):
     motion = motion_from_recording(logs[0], cutoff=20.0)
     early = motion.t - motion.t[0] < 4.0

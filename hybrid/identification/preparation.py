@@ -19,7 +19,7 @@ from hybrid.effects.spring import Spring
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
-from hybrid.errors import IdentificationError
+from hybrid.errors import IdentificationError, warn
 from hybrid.identification.data import Data, fastest
 from hybrid.inspect import check_recordings
 from hybrid.model.declared import declared_effects
@@ -64,15 +64,23 @@ def prepare_motions(
 def checked_logs(
     robot: Robot, recordings: Sequence[Recording | Motion]
 ) -> list[Recording | Motion]:
-    """Check logs, see :func:`check_recordings`; motions are not checked."""
+    """Check logs, see :func:`check_recordings`; motions are not checked.
+
+    A log that is given twice, under whatever name, counts once: its copy would be
+    taken for motion that the fit has not seen.
+    """
     check_argument(robot, Robot, ROBOT)
     given = listed(recordings, (Recording, Motion), RECORDING)
     if not given:
         raise IdentificationError("no recording given; at least one is needed")
-    logs: list[Recording | Motion] = []
+    logs: dict[tuple[str, str], Recording | Motion] = {}
     for x in given:
-        logs += check_recordings([x], robot) if isinstance(x, Recording) else [x]
-    return logs
+        own = check_recordings([x], robot) if isinstance(x, Recording) else [x]
+        for log in own:
+            first = logs.setdefault((log_hash(log), _hash(log, log.q)), log)
+            if first is not log:
+                warn(f"{log.source}: the same log as {first.source}; it counts once")
+    return list(logs.values())
 
 
 def log_hash(log: Recording | Motion) -> str:
@@ -80,8 +88,12 @@ def log_hash(log: Recording | Motion) -> str:
 
     Masked samples are not offered: the one half of a log is not the other.
     """
-    tau = log.tau[log.mask] if isinstance(log, Motion) else log.tau
-    return hashlib.sha256(np.ascontiguousarray(tau).tobytes()).hexdigest()[:16]
+    return _hash(log, log.tau)
+
+
+def _hash(log: Recording | Motion, x: Array) -> str:
+    offered = x[log.mask] if isinstance(log, Motion) else x
+    return hashlib.sha256(np.ascontiguousarray(offered).tobytes()).hexdigest()[:16]
 
 
 def motions_from_logs(
