@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -440,6 +441,8 @@ def test_missing_limits_survive_json(tmp_path):
     again = Robot.from_dict(json.loads(json.dumps(robot.as_dict(), allow_nan=False)))
     assert (again.q_min, again.q_max) == (-np.inf, np.inf)
     assert np.isinf([again.v_max, again.a_max, again.tau_max]).all()
+    assert again == robot and len({again, robot}) == 1
+    assert replace(robot, damping=robot.damping + 1) != robot != "planar"
 
 
 @pytest.mark.parametrize("damage", ["chain", "name", "tau_max"])
