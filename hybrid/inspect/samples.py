@@ -121,8 +121,9 @@ def _torque(recording: Recording) -> Iterator[Doubt]:
         text = f"{recording.place('tau', joint)} is constant ({tau[0, joint]:g})"
         yield Doubt("tau", (joint,), text, _MEASURED, "error")
     _, first, other = np.unique(tau, axis=1, return_index=True, return_inverse=True)
-    for joint in np.flatnonzero((first[other] != np.arange(len(other))) & ~constant):
-        twins = (int(first[other[joint]]), int(joint))
+    twin = (first[other] != np.arange(len(other))) & ~constant
+    for joint in np.flatnonzero(twin).tolist():
+        twins = (int(first[other[joint]]), joint)
         places = " and ".join(recording.place("tau", k) for k in twins)
         text = f"{places} are the same in every row"
         yield Doubt("tau", twins, text, _MEASURED, "error")
