@@ -126,7 +126,8 @@ def _fit(columns: Array, tau: Array) -> tuple[Array, Array]:
         noise = np.maximum(rms, 1e-6 * power + 1e-12)
     memory = np.array([autocorrelation_time(x, row) for x in residual])
     left = 1 - size / np.sum(samples / memory)  # share of the independent samples
-    return theta, noise * np.sqrt(memory / max(left, 1e-300))
+    one = noise * np.sqrt(memory / max(left, 1e-300))
+    return np.asarray(theta, dtype=np.float64), np.asarray(one)
 
 
 def _base_columns(chain: Chain, state: State) -> tuple[tuple[str, ...], Array]:
