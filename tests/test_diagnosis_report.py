@@ -25,6 +25,7 @@ from hybrid.diagnosis.answer.diagnosis import (
 from hybrid.report.diagnosis import render_diagnosis, write_diagnosis
 from hybrid.report.diagnosis_data import (
     MOST_POINTS,
+    _roughness,
     evidence_matrix,
     joint_curves,
     rms_table,
@@ -461,6 +462,11 @@ def test_the_page_works_in_a_browser(browser, page, tmp_path, size, scheme, grou
     assert found["ground"] == ground and found["paper"] == "rgb(255, 255, 255)"
     assert found["printed"] and found["back"] == [1]
     assert found["width"] <= 0, "the page is wider than its window"
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_a_joint_without_samples_is_a_function_of_nothing(count):
+    assert _roughness(np.arange(count), np.full(count, 2.0)) == 1.0
 
 
 def test_the_name_of_a_joint_does_nothing_in_a_browser(browser, tmp_path):

@@ -428,6 +428,9 @@ def test_a_frame_of_pandas_may_have_zones_and_lists():
     ragged = pd.DataFrame(lists | {"q": [[1.0], [3.0, 4.0]]})
     with pytest.raises(RecordingError, match="lists of 'q' of many lengths"):
         recording_from_table(ragged)
+    texts = pd.DataFrame({"time": ["0.0", "0.1"], "q1": [1.0, 2.0]}, dtype=object)
+    with pytest.raises(RecordingError, match="time holds '0.0'; valid are numbers"):
+        recording_from_table(texts)
 
 
 def test_the_longest_name_of_a_joint_in_a_label_is_meant():

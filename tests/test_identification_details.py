@@ -153,7 +153,8 @@ def test_samples_at_rest_count_for_nothing():
     assert squares.tolist() == [moving, 0.0]
     assert known.moving.tolist() == [moving, 1.0]  # the mean over none is zero
     assert [s.torque > 0 and s.speed > 0 for s in known.scales] == [True, True]
-    assert known.scales[1].speed == 1e-12
+    assert known.scales[1].speed == known.standing[1] > 0
+    assert known.resting.tolist() == [False, True]
 
 
 def test_whole_recordings_make_folds_or_quarters_of_the_motion():

@@ -91,8 +91,9 @@ def test_a_cost_is_the_mean_log_and_three_times_each_rise():
 
 def test_errors_are_the_root_of_squares_over_the_moving_samples():
     judge = solver(np.ones((4, 2)))
-    judge._data = SimpleNamespace(moving=np.array([8.0, 2.0]))
-    np.testing.assert_allclose(judge.rms(np.full((4, 2), 4.5)), [1.5, 3.0])
+    moving, resting = np.array([8.0, 2.0, 1.0]), np.array([False, False, True])
+    judge._data = SimpleNamespace(moving=moving, resting=resting)
+    np.testing.assert_allclose(judge.rms(np.full((4, 3), 4.5)), [1.5, 3.0, np.nan])
 
 
 # --- preparation ----------------------------------------------------------------------

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pendulum import pendulum, swings, with_torque
+from scipy.signal import lfilter
 from simulated import arm
 
 from hybrid.dynamics import inverse_dynamics
@@ -332,6 +333,32 @@ def test_what_motion_tells_of_links_and_drives_is_named():
     assert not {x for x in found.untold if x.startswith(("mz", "Ia"))}
 
 
+def excitation(v, noise=0.0, memory=0.0, seed=0):
+    """What is told of a pendulum at 50 samples a second, in a torque with noise."""
+    time = np.arange(len(v)) / 50.0
+    q, a = np.cumsum(v)[:, None] / 50.0, np.gradient(v, time)[:, None]
+    random = np.random.default_rng(seed).normal(size=len(v)) * np.sqrt(1 - memory**2)
+    tau = 7 * np.sin(q) + 0.5 * a + noise * lfilter([1], [1, -memory], random)[:, None]
+    unknown = np.full(1, np.nan)
+    state = State(q, v[:, None], a, tau, None, unknown, unknown)
+    return excitation_of(pendulum().chain, state)
+
+
+def test_dry_friction_is_not_told_from_an_offset_where_a_joint_turns_one_way():
+    found = excitation(4.0 + 0.8 * np.sin(np.arange(400) / 20.0), noise=0.1)
+    assert {"Fc_1", "offset_1"} <= set(found.untold)
+    assert found.condition == np.inf
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.95])
+def test_noise_that_lasts_is_taken_for_no_parameter(memory):
+    """At 95 % confidence, one in twenty of what is not there may be told."""
+    v = 0.9 * np.sin(np.arange(400) / 20.0) + 0.5 * np.sin(np.arange(400) / 6.1)
+    untold = [excitation(v, 0.5, memory, seed).untold for seed in range(40)]
+    absent = [x in names for names in untold for x in ("Fv_1", "Fc_1", "offset_1")]
+    assert np.mean(absent) > 0.85
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_row_that_is_farthest_outside_its_limits_is_named(side):
     t = np.arange(0.0, 2.0, 0.01)
@@ -385,6 +412,27 @@ def test_a_glitch_is_told_with_the_positions_beside_it(sign):
     (doubt,) = [d for d in doubts_of_rows(log(x)) if "glitch" in d.text]
     beside = f"{x[200]:.6g} between {x[199]:.6g} and {x[201]:.6g}, the first of 1"
     assert beside in doubt.text and x[199] != x[201] and "row 201" in doubt.line
+
+
+@pytest.mark.parametrize(
+    ("peak", "rows", "told"), [(51, 4, 1), (-51, 19, 1), (49, 4, 0), (51, 21, 0)]
+)
+def test_a_torque_that_jumps_above_five_ratings_is_no_torque(peak, rows, told):
+    """Of more than a twentieth of all rows, the unit or the rating is wrong."""
+    rated = replace(pendulum(), tau_max=np.array([10.0]))
+    tau = 4 * SMOOTH[:400, None]
+    tau[100 : 100 + rows] = peak
+    found = list(doubts_of_rows(log(SMOOTH[:400], T[:400], tau), rated))
+    assert [(x.evidence, x.is_error) for x in found] == [(rows, True)] * told
+    assert all(f"row 101 (data rows count from 1): jumps to {peak}," in x.text
+               for x in found)  # fmt: skip
+
+
+def test_the_torques_of_two_joints_are_never_the_same():
+    tau = np.stack([SMOOTH, 2 * SMOOTH, SMOOTH, 0 * SMOOTH, 0 * SMOOTH], axis=1)
+    both = Recording(T, tau, tau=tau, source="log")
+    (found,) = [x for x in doubts_of_samples(both) if "same in every row" in x.text]
+    assert found.joints == (0, 2) and found.is_error
 
 
 def test_glitches_are_told_apart_from_seven_rows_on_and_are_no_jumps():

@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -317,6 +318,17 @@ def test_a_continuous_joint_has_no_position_limit_and_one_coordinate(tmp_path):
     assert robot.pinocchio().nq == 1
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_limits_of_zero_are_none(tmp_path, kind):
+    """Exporters of CAD write them where none was given."""
+    none = "<limit lower='0' upper='0' effort='0' velocity='0'/>"
+    robot = Robot.load(
+        urdf(tmp_path, f"<joint name='j' type='{kind}'>{ENDS}{none}</joint>")
+    )
+    assert (robot.q_min, robot.q_max) == (-np.inf, np.inf)
+    assert (robot.v_max, robot.tau_max) == (np.inf, np.inf)
+
+
 def test_a_prismatic_joint_carries_the_weight_of_its_link(tmp_path):
     joint = f"<joint name='j' type='prismatic'>{ENDS}{LIMIT.format('')}</joint>"
     robot = Robot.load(urdf(tmp_path, joint))
@@ -429,6 +441,8 @@ def test_missing_limits_survive_json(tmp_path):
     again = Robot.from_dict(json.loads(json.dumps(robot.as_dict(), allow_nan=False)))
     assert (again.q_min, again.q_max) == (-np.inf, np.inf)
     assert np.isinf([again.v_max, again.a_max, again.tau_max]).all()
+    assert again == robot and len({again, robot}) == 1
+    assert replace(robot, damping=robot.damping + 1) != robot != "planar"
 
 
 @pytest.mark.parametrize("damage", ["chain", "name", "tau_max"])

@@ -64,12 +64,10 @@ def assert_read_as_pinocchio_reads_it(model, robot, relative=CLOSE):
         np.testing.assert_array_equal(np.where(none, np.inf, theirs[dofs]), ours)
     for name, low, high in zip(robot.joints, robot.q_min, robot.q_max, strict=True):
         j = model.getJointId(name)
-        if model.nqs[j] == 2:
-            assert (low, high) == (-np.inf, np.inf)
-        else:
-            at = model.idx_qs[j]
-            assert low == model.lowerPositionLimit[at]
-            assert high == model.upperPositionLimit[at]
+        at = model.idx_qs[j]
+        theirs = model.lowerPositionLimit[at], model.upperPositionLimit[at]
+        endless = model.nqs[j] == 2 or theirs == (0, 0)
+        assert (low, high) == ((-np.inf, np.inf) if endless else theirs)
 
 
 # --- every file of a collection -----------------------------------------------------

@@ -19,6 +19,8 @@ from hybrid.errors import (
 from hybrid.identification import DynamicModel, identify, predict, validate
 from hybrid.identification.validation import noise_floor
 from hybrid.plant import simulate
+from hybrid.report.output import plain
+from hybrid.report.table import table_from_validation
 from hybrid.signals import Sampler, motion_from_recording
 
 
@@ -48,6 +50,16 @@ def test_a_log_that_the_model_was_identified_from_is_no_validation(fit, logs, tm
     with pytest.warns(HybridWarning, match=f"{logs[2].source}: .* this is no valid"):
         validate(loaded, [logs[2], logs[3]])
     validate(loaded, [replace(logs[2], tau=1.1 * logs[2].tau), logs[3]])
+
+
+def test_a_log_that_is_given_twice_counts_once(logs):
+    """A copy in another fold would be no motion that the fit has not seen."""
+    copy = replace(logs[0], source="copy")
+    twice, warnings = quiet(identify, arm("planar"), [*logs[:3], copy])
+    assert f"copy: the same log as {logs[0].source}; it counts once" in warnings
+    once, _ = quiet(identify, arm("planar"), logs[:3])
+    np.testing.assert_array_equal(twice.estimate.theta, once.estimate.theta)
+    assert twice.model.logs == once.model.logs
 
 
 def test_the_other_part_of_a_log_is_a_validation(logs):
@@ -121,6 +133,33 @@ def test_the_truth_leaves_nothing_but_the_noise():
     noise = np.random.default_rng(0).normal(size=tau.shape)
     noisy = validate(truth, [replace(motion, tau=tau + noise)])
     np.testing.assert_allclose(noisy.rows[-1].rms, noisy.noise_floor, rtol=0.15)
+
+
+def test_steps_of_dry_friction_are_no_noise(fit, logs):
+    """Joints that turn back often make power at all frequencies."""
+    motion = motion_from_recording(logs[3], cutoff=20.0)
+    friction = [Coulomb((j,), {"level": 5.0}) for j in range(2)]
+    model = replace(fit.model, effects=tuple(friction), remainder=None, simpler={})
+    tau = model.predict(motion)
+    noise = 0.1 * np.random.default_rng(0).normal(size=tau.shape)
+    floor = validate(model, [replace(motion, tau=tau + noise)]).noise_floor
+    np.testing.assert_allclose(floor, [0.1, 0.1], rtol=0.1)
+
+
+def test_a_joint_at_rest_has_no_error_and_does_not_count(logs):
+    """It tells nothing of friction; encoders repeat their value to the last digit."""
+    held = np.array([1.0, 0.0])
+    still = [replace(x, q=held * x.q + 0.3, v=held * x.v) for x in logs]
+    fit, warnings = quiet(identify, arm("planar"), still[:3])
+    assert any("elbow farther" in x for x in warnings)
+    assert fit.condition == np.inf
+    for rms in fit.held_out.values():
+        assert np.isfinite(rms[0]) and np.isnan(rms[1])
+    found = validate(fit.model, still[3:])
+    assert found.rows[-1].mean == found.rows[-1].rms[0]
+    table = table_from_validation(found)
+    assert {row[2] for row in table.rows[:-1]} == {"–"}
+    assert plain(found.as_dict())["rows"][0]["rms"][1] is None
 
 
 @pytest.mark.parametrize("cutoff", [10.0, 40.0])

@@ -42,7 +42,9 @@ def run(args: Namespace, screen: Screen) -> None:
     options.write_record(args, how, validation.as_dict())
     screen.show(table_from_validation(validation))
     plain, last = validation.reference, validation.rows[-1]
+    change = validation.reduction
     screen.say(
-        f"{last.name}: {validation.reduction:.1%} less mean RMS than {plain.name}, "
+        f"{last.name}: {abs(change):.1%} {'more' if change < 0 else 'less'} mean RMS "
+        f"than {plain.name}, "
         f"{last.mean:.4g} instead of {plain.mean:.4g} N·m"
     )

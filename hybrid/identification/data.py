@@ -114,15 +114,21 @@ class Data:
 
     @cached_property
     def scales(self) -> list[Scale]:
-        """Highest torque and speed of every joint in the data."""
+        """Highest torque and speed of every joint; at rest, the speed of standing."""
         each = [np.abs(m.tau[m.mask]).max(axis=0) for m in self.motions]
-        highest = np.maximum([np.max(each, axis=0), self.visited["v_max"]], 1e-12)
+        speed = np.maximum(self.visited["v_max"], self.standing)
+        highest = np.maximum([np.max(each, axis=0), speed], 1e-12)
         return [Scale(*x) for x in highest.T.tolist()]
 
     @cached_property
     def visited(self) -> dict[str, Array]:
         """Lowest and highest position and highest speed, each of shape (n,)."""
         return visited(self.motions)
+
+    @cached_property
+    def resting(self) -> NDArray[np.bool_]:
+        """Whether each joint stands all the time, shape (n,)."""
+        return self.visited["v_max"] <= self.standing
 
     @cached_property
     def moving(self) -> Array:

@@ -33,7 +33,7 @@ class Fit(Shown):
         estimate: Values, covariance and residual covariance of the linear part. If
             the links were made physically consistent, only the values changed.
         held_out: RMS residual of each joint on held-out samples, by stage, shape (n,)
-            each, [N·m].
+            each, [N·m]; NaN at a joint that stands all the time.
         condition: Condition number of the whitened, column-scaled columns of rigid
             body and linear friction: the quality of the excitation.
         converged: False if any iteration reached its limit.

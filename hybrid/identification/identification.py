@@ -269,7 +269,7 @@ class Identification:
         rest = [m.tau - frictionless.predict(m) for m in data.motions]
         loads = [model.body(m).load for m in data.motions]
         candidates = {}
-        for j in range(self.robot.size):
+        for j in np.flatnonzero(~data.resting).tolist():
             friction = fit_friction(
                 data, j, [x[:, j] for x in rest], [x[:, j] for x in loads]
             )

@@ -19,7 +19,7 @@ from hybrid.effects.spring import Spring
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
-from hybrid.errors import IdentificationError
+from hybrid.errors import IdentificationError, warn
 from hybrid.identification.data import Data, fastest
 from hybrid.inspect import check_recordings
 from hybrid.model.declared import declared_effects
@@ -34,6 +34,7 @@ _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
 _WORKING_RATE = 12.5  # of the cut-off: sampling rate of the decimated motions
 _ALIAS_FREE = 5.0  # of the cut-off: torque below this is kept, above 6 is removed
 STANDING = 0.01  # of the highest speed
+SLOWEST = 0.002  # rad/s or m/s, speed that noise shows at rest
 FEWEST_PERIODS = 3.0  # of the cut-off in a recording; filter edges take 2.3 of them
 _WORTH_HALVING = 0.05  # relative fall of the error from which the cut-off is halved
 _MOST_HALVINGS = 3  # of the cut-off from the spectrum of the positions
@@ -63,15 +64,23 @@ def prepare_motions(
 def checked_logs(
     robot: Robot, recordings: Sequence[Recording | Motion]
 ) -> list[Recording | Motion]:
-    """Check logs, see :func:`check_recordings`; motions are not checked."""
+    """Check logs, see :func:`check_recordings`; motions are not checked.
+
+    A log that is given twice, under whatever name, counts once: its copy would be
+    taken for motion that the fit has not seen.
+    """
     check_argument(robot, Robot, ROBOT)
     given = listed(recordings, (Recording, Motion), RECORDING)
     if not given:
         raise IdentificationError("no recording given; at least one is needed")
-    logs: list[Recording | Motion] = []
+    logs: dict[tuple[str, str], Recording | Motion] = {}
     for x in given:
-        logs += check_recordings([x], robot) if isinstance(x, Recording) else [x]
-    return logs
+        own = check_recordings([x], robot) if isinstance(x, Recording) else [x]
+        for log in own:
+            first = logs.setdefault((log_hash(log), _hash(log, log.q)), log)
+            if first is not log:
+                warn(f"{log.source}: the same log as {first.source}; it counts once")
+    return list(logs.values())
 
 
 def log_hash(log: Recording | Motion) -> str:
@@ -79,8 +88,12 @@ def log_hash(log: Recording | Motion) -> str:
 
     Masked samples are not offered: the one half of a log is not the other.
     """
-    tau = log.tau[log.mask] if isinstance(log, Motion) else log.tau
-    return hashlib.sha256(np.ascontiguousarray(tau).tobytes()).hexdigest()[:16]
+    return _hash(log, log.tau)
+
+
+def _hash(log: Recording | Motion, x: Array) -> str:
+    offered = x[log.mask] if isinstance(log, Motion) else x
+    return hashlib.sha256(np.ascontiguousarray(offered).tobytes()).hexdigest()[:16]
 
 
 def motions_from_logs(
@@ -129,7 +142,7 @@ def prepare(
     motions = [decimated_motion(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
-    standing = STANDING * fastest(motions)
+    standing = np.maximum(STANDING * fastest(motions), SLOWEST)
     return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
 
 

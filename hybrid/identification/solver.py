@@ -172,5 +172,6 @@ class Solver:
         return summed_squares(squares, self._robust)
 
     def rms(self, squares: Array) -> Array:
-        """Held-out RMS of each joint, shape (n,), [N·m]."""
-        return np.asarray(np.sqrt(squares.sum(axis=0) / self._data.moving))
+        """Held-out RMS of each joint, NaN where it stands, shape (n,), [N·m]."""
+        rms = np.sqrt(squares.sum(axis=0) / self._data.moving)
+        return np.where(self._data.resting, np.nan, rms)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from hybrid.arrays import Array
 from hybrid.errors import RecordingError, warn
 from hybrid.identification.data import check_torque, fastest
 from hybrid.identification.preparation import (
+    SLOWEST,
     STANDING,
     checked_logs,
     log_hash,
@@ -31,7 +32,8 @@ class ValidationRow:
 
     Attributes:
         name: Name of the model.
-        rms: RMS of measured less predicted torque, shape (n,), [N·m].
+        rms: RMS of measured less predicted torque, shape (n,), [N·m]; NaN at a joint
+            that stands all the time.
         relative: RMS over the RMS of the measured torque itself, shape (n,).
     """
 
@@ -41,8 +43,8 @@ class ValidationRow:
 
     @property
     def mean(self) -> float:
-        """Mean RMS over the joints, [N·m]."""
-        return float(self.rms.mean())
+        """Mean RMS over the joints that move, [N·m]."""
+        return float(np.nanmean(self.rms))
 
 
 @dataclass(frozen=True)
@@ -138,25 +140,27 @@ def validate(
         )
     slowest = model.standing if standing is None else standing
     if not np.size(slowest):  # a model that was not identified
-        slowest = STANDING * fastest(motions)
+        slowest = np.maximum(STANDING * fastest(motions), SLOWEST)
     each = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
     moving = np.concatenate(each)
     count = moving.sum(axis=0)
 
     def rms(residual: Sequence[Array]) -> Array:
         squares = np.where(moving, np.concatenate(residual), 0.0) ** 2
-        return np.asarray(np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)))
+        mean = squares.sum(axis=0) / np.maximum(count, 1)
+        return np.where(count > 0, np.sqrt(mean), np.nan)
 
     size = np.maximum(rms([m.tau for m in motions]), 1e-300)
     rows = []
     for name, one in {**model.simpler, model.stage: model}.items():
-        error = rms([m.tau - one.predict(m) for m in motions])
+        left = [replace(m, tau=m.tau - one.predict(m)) for m in motions]
+        error = rms([m.tau for m in left])
         rows.append(ValidationRow(name, error, error / size))
     return Validation(
         robot=model.robot.name,
         joints=model.robot.joints,
         rows=tuple(rows),
-        noise_floor=noise_floor(motions, model.cutoff),
+        noise_floor=noise_floor(left, model.cutoff),
         sources=tuple(m.source for m in motions),
         samples=int(count.max()),
         seconds=float(sum(m.t[-1] - m.t[0] for m in motions)),
@@ -164,12 +168,13 @@ def validate(
 
 
 def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
-    """RMS of white noise in the torque, from its power far above the cut-off.
+    """RMS of white noise in a torque, from its power far above the cut-off.
 
-    Motion has no power there, but ripple and resonance may have.
+    Links have no power there, but the steps of dry friction, ripple and resonance may
+    have.
 
     Args:
-        motions: Motions at full rate.
+        motions: Motions at full rate, with the torque that a model leaves.
         cutoff: Cut-off of columns and torque, [Hz].
 
     Returns:

@@ -1,9 +1,9 @@
 """What a log can tell: how each joint moves, and which parameters are identifiable.
 
 Torque is linear in base parameters, rotor inertia and friction, with columns ``W``.
-With the residual variance of each joint in ``Σ``, the covariance of the parameters is
-``C = (Wᵀ Σ⁻¹ W)⁻¹``. A parameter is identifiable if it differs from zero by 1.96
-standard errors.
+With the residual variance of each joint in ``Σ``, times the number of successive
+samples that tell the same, the covariance of the parameters is ``C = (Wᵀ Σ⁻¹ W)⁻¹``. A
+parameter is identifiable if it differs from zero by 1.96 standard errors.
 """
 
 from __future__ import annotations
@@ -21,8 +21,11 @@ from hybrid.inspect.samples import resolution
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
+from hybrid.signals.autocorrelation import autocorrelation_time
 
 _NORMAL = 1.96  # standard errors on either side of a 95 % interval
+_RANK = 1e-9  # of the largest column or singular value: what is below is rounding
+_BLIND = 0.01  # share of a parameter in directions without torque
 _LONGEST_LAG = 0.5  # s, of a servo behind its command
 _MOST_ROWS = 100_000  # of a log that are compared at each lag
 _DRIVES = ("Ia", "Fv", "Fc", "offset")
@@ -89,28 +92,42 @@ def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]
 def excitation_of(chain: Chain, state: State) -> Excitation:
     """Fit base parameters, rotors and friction; say which of them are identifiable."""
     names, columns = _base_columns(chain, state)  # (n, M, b)
-    n, samples = chain.size, len(state.q)
-    stacked, tau = columns.reshape(n * samples, -1), state.tau.T.reshape(-1)
-    rows = np.repeat(np.arange(n), samples)
-    noise = np.ones(n)  # standard deviation at each joint
-    for _ in range(2):  # ordinary, then weighted least squares
-        whitened = stacked / noise[rows, None]
-        theta = np.linalg.lstsq(whitened, tau / noise[rows], rcond=None)[0]
-        residual = (tau - stacked @ theta).reshape(n, samples)
-        size = np.sqrt((state.tau**2).mean(axis=0))
-        noise = np.maximum(np.sqrt((residual**2).mean(axis=1)), 1e-6 * size + 1e-12)
-    whitened = stacked / noise[rows, None]
+    stacked = columns.reshape(-1, columns.shape[-1])
+    theta, noise = _fit(columns, state.tau.T)
+    whitened = stacked / np.repeat(noise, len(state.q))[:, None]
     length = np.maximum(np.linalg.norm(whitened, axis=0), 1e-300)
-    singular = np.linalg.svd(whitened / length, compute_uv=False)
-    inverse = np.linalg.pinv(whitened / length, rcond=1e-12)
-    error = np.linalg.norm(inverse, axis=1) / length
-    excited = length > 1e-9 * length.max()
-    unknown = ~excited | (np.abs(theta) < _NORMAL * error)
-    condition = np.inf
-    if excited.all():
-        condition = float(singular[0] / max(singular[-1], 1e-300))
+    resting = length < _RANK * length.max()
+    singular, ways = np.linalg.svd(whitened / length, full_matrices=False)[1:]
+    blind = singular < _RANK * singular[0]
+    error = np.linalg.norm(ways.T / np.where(blind, np.inf, singular), axis=1) / length
+    # Of parameters that act alike, the log has a combination only.
+    alike = np.sum(ways[blind] ** 2, axis=0) > _BLIND
+    unknown = resting | alike | (np.abs(theta) < _NORMAL * error)
+    condition = np.inf if (resting | blind).any() else float(singular[0] / singular[-1])
     untold = tuple(name for name, x in zip(names, unknown, strict=True) if x)
     return Excitation(condition, names, untold)
+
+
+def _fit(columns: Array, tau: Array) -> tuple[Array, Array]:
+    """Parameters, and the standard deviation of each joint's residual, (b,) and (n,).
+
+    It is that of one sample, as if all were independent: larger than the residual's
+    by the samples that tell the same, and by those that the parameters use up.
+    """
+    n, samples, size = columns.shape
+    stacked, row = columns.reshape(n * samples, size), np.arange(samples)
+    noise = np.ones(n)
+    for _ in range(2):  # ordinary, then weighted least squares
+        each = np.repeat(noise, samples)
+        theta = np.linalg.lstsq(stacked / each[:, None], tau.ravel() / each)[0]
+        residual = tau - columns @ theta
+        power = np.sqrt((tau**2).mean(axis=1))
+        rms = np.sqrt((residual**2).mean(axis=1))
+        noise = np.maximum(rms, 1e-6 * power + 1e-12)
+    memory = np.array([autocorrelation_time(x, row) for x in residual])
+    left = 1 - size / np.sum(samples / memory)  # share of the independent samples
+    one = noise * np.sqrt(memory / max(left, 1e-300))
+    return np.asarray(theta, dtype=np.float64), np.asarray(one)
 
 
 def _base_columns(chain: Chain, state: State) -> tuple[tuple[str, ...], Array]:

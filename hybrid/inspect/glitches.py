@@ -1,7 +1,8 @@
 """Find glitches, jumps, held rows and repeated rows.
 
 An arm has mass: its step from sample to sample changes little. A position that leaves
-and returns within a sample, or jumps, is a fault of the log.
+and returns within a sample, or jumps, is a fault of the log. So is a torque that jumps
+to what no drive gives.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ _ENCODER_NOISE = 10.0  # steps of the encoder
 _NEARBY = 5  # samples on either side
 _SHAPE_ERROR = 0.2  # relative difference of second differences from 1, −2, 1
 _TURN_ERROR = 0.1  # rad, from a whole turn
+OVERLOAD = 5.0  # times the rating: more than a drive gives
+_RARE = 0.05  # of all samples: where more are above it, the unit or the file is wrong
 _HELD_ROWS, _HELD_SHARE = 3, 0.9  # least rows a value is held; share of new values
 _REPEATED = 50  # rows
 
@@ -33,6 +36,8 @@ def doubts_of_rows(recording: Recording, robot: Robot | None = None) -> Iterator
     for joint, x in enumerate(recording.q.T):
         yield from _glitches(recording, joint, x)
         yield from _jumps(recording, joint, x)
+    if robot is not None and recording.has_torque:
+        yield from _bursts(recording, robot)
 
 
 def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
@@ -71,6 +76,24 @@ def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
         )
         remedy = "valid are positions as the joint passed them"
         yield Doubt("q", (joint,), text, remedy, "error", float(size[k]), rows=True)
+
+
+def _bursts(recording: Recording, robot: Robot) -> Iterator[Doubt]:
+    """Find torques that jump far above the rating of their drive."""
+    for joint, (x, rated) in enumerate(
+        zip(recording.tau.T, robot.tau_max, strict=True)
+    ):
+        step = np.abs(np.diff(x, prepend=x[0]))
+        over = np.abs(x) > OVERLOAD * rated
+        leaps = np.flatnonzero(over & (step > _LEAP * np.quantile(step, 0.99)))
+        if leaps.size and over.mean() < _RARE:
+            row, count = int(leaps[0]), int(over.sum())
+            text = (
+                f"{recording.place('tau', joint, row)}: jumps to {x[row]:.6g}, the "
+                f"first of {count} above {OVERLOAD:g} times the drive's {rated:g}"
+            )
+            remedy = "valid are torques that a drive gives: leave such rows out"
+            yield Doubt("tau", (joint,), text, remedy, "error", count, rows=True)
 
 
 def _largest_beside(size: Array, first: int) -> tuple[Array, Array]:

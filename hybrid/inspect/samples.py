@@ -19,6 +19,7 @@ _SAG = 0.1  # rad: a load may move a held joint so far
 SLOWEST = 1.0  # Hz: lowest sampling rate of a moving arm
 LARGEST = 1e9  # rad, rad/s, N·m: beyond any arm, and its square is finite
 LATEST = 1e19  # s: more than the nanoseconds since 1970, which the step reveals
+_MEASURED = "valid is a torque that was measured"
 _COARSEST = 0.01  # rad: worst resolution of a joint encoder
 _UNITS = (1e-3, "milli"), (1e-6, "micro"), (1e-9, "nano")
 _USUAL_RATE = 20.0, 2e4  # Hz
@@ -118,8 +119,14 @@ def _torque(recording: Recording) -> Iterator[Doubt]:
     constant = (np.ptp(tau, axis=0) == 0) | (np.abs(tau).max(axis=0) < 1 / LARGEST)
     for joint in np.flatnonzero(constant).tolist():
         text = f"{recording.place('tau', joint)} is constant ({tau[0, joint]:g})"
-        remedy = "valid is a torque that was measured"
-        yield Doubt("tau", (joint,), text, remedy, "error")
+        yield Doubt("tau", (joint,), text, _MEASURED, "error")
+    _, first, other = np.unique(tau, axis=1, return_index=True, return_inverse=True)
+    twin = (first[other] != np.arange(len(other))) & ~constant
+    for joint in np.flatnonzero(twin).tolist():
+        twins = (int(first[other[joint]]), joint)
+        places = " and ".join(recording.place("tau", k) for k in twins)
+        text = f"{places} are the same in every row"
+        yield Doubt("tau", twins, text, _MEASURED, "error")
     for joint, x in enumerate(tau.T):
         for limit in (float(x.min()), float(x.max())):
             share = float(np.mean(x == limit))

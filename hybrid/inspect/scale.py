@@ -14,6 +14,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt, error_if
+from hybrid.inspect.glitches import OVERLOAD
 from hybrid.inspect.masses import smooth_sign
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
@@ -22,7 +23,6 @@ from hybrid.robot import Robot
 _EXPLAINED = 0.25  # least share of the variance that determines a scale
 _ODD, _WRONG = 3.0, 10.0  # factors: more than files and payloads explain; an error
 _UNITS = {1e-3: "kN·m", 1e3: "mN·m"}
-_OVERLOAD = 5.0  # times the rating: more is a missing gear ratio or a wrong unit
 _LARGEST_GEAR = 500.0  # ratio
 _LARGEST_CONSTANT = 30.0  # N·m/A at the joint
 _VALID = "valid are N·m at the joint"
@@ -81,13 +81,13 @@ def _above_rating(recording: Recording, robot: Robot) -> Iterator[Doubt]:
     """Find torques far above the rating; for logs that determine no scale."""
     peak = np.max(np.abs(recording.tau), axis=0)
     rated = np.where(robot.tau_max > 0, robot.tau_max, np.inf)
-    far = np.flatnonzero(peak > _OVERLOAD * rated).tolist()
+    far = np.flatnonzero(peak > OVERLOAD * rated).tolist()
     if far:
         places = ", ".join(
             f"{recording.place('tau', k)} {peak[k]:.4g} of {rated[k]:.4g}" for k in far
         )
         text = (
-            f"torque above {_OVERLOAD:g} times the rating ({places}): in milliamps? or "
+            f"torque above {OVERLOAD:g} times the rating ({places}): in milliamps? or "
             "is the rating that of the motor side"
         )
         yield Doubt("tau", tuple(far), text, _VALID, evidence=float(max(peak / rated)))

@@ -130,9 +130,13 @@ def _held(A: Array, prior: Prior | None) -> tuple[int, ...]:
 
 
 def condition_number(A: Array) -> float:
-    """Condition number of the columns of a normal matrix, scaled to unit length."""
-    values = np.clip(np.linalg.eigvalsh(unit_columns(A)[0]), 0.0, None)
-    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
+    """Condition number of the columns of a normal matrix, scaled to unit length.
+
+    It is infinite where the smallest eigenvalue is rounding error.
+    """
+    values = np.linalg.eigvalsh(unit_columns(A)[0])
+    least = np.finfo(float).eps * len(A) * values[-1]
+    return float(np.sqrt(values[-1] / values[0])) if values[0] > least else np.inf
 
 
 def _undetermined(A: Array) -> tuple[int, ...]:

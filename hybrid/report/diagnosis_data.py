@@ -128,10 +128,10 @@ def _roughness(x: Array, y: Array) -> float:
     Source: von Neumann 1941, doi 10.1214/aoms/1177731677 (mean square of successive
     differences over variance).
     """
-    step = np.diff(y[np.argsort(x, kind="stable")])
-    variance = np.var(y)
-    if not len(step) or variance == 0:
+    variance = np.var(y) if len(y) > 1 else 0.0  # a joint at rest has no sample
+    if variance == 0:
         return 1.0
+    step = np.diff(y[np.argsort(x, kind="stable")])
     return float(np.mean(step**2) / (2 * variance))
 
 

@@ -64,7 +64,7 @@ def content_from_fit(fit: Fit) -> dict[str, Any]:
         "stage": fit.model.stage,
         "cutoff": fit.model.cutoff,
         "held_out": [
-            {"name": name, "rms": rms, "mean": float(np.mean(rms))}
+            {"name": name, "rms": rms, "mean": float(np.nanmean(rms))}
             for name, rms in fit.held_out.items()
         ],
         "left_out": fit.left_out,

@@ -69,7 +69,7 @@ def error_table(
     """
     rows = dict(rms) if noise_floor is None else {**rms, "noise floor": noise_floor}
     names = list(rows)
-    values = np.array([[*x, np.mean(x)] for x in rows.values()])  # (rows, n + 1)
+    values = np.array([[*x, np.nanmean(x)] for x in rows.values()])  # (rows, n + 1)
     first = values[0, -1]
     columns = [_cells(column) for column in values.T]
     change = ["–", *(_change(mean, first) for mean in values[1:, -1])]

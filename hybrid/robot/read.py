@@ -15,7 +15,7 @@ from hybrid.robot.library import robot_file
 from hybrid.robot.mjcf import fields_of_mujoco
 from hybrid.robot.mujoco_model import compile_spec, compile_without_assets
 from hybrid.robot.tree import Node, Tree, serial_joints
-from hybrid.robot.urdf import limit, read_urdf
+from hybrid.robot.urdf import limit, range_of, read_urdf
 
 SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 Read = tuple[dict[str, Any], Any]  # fields, and MuJoCo's model or None
@@ -92,8 +92,7 @@ def _of_pinocchio(
         "name": model.name,
         "chain": tree.chain(keep, held, gravity, armature),
         "held": held,
-        "q_min": np.where(endless, -np.inf, model.lowerPositionLimit[at]),
-        "q_max": np.where(endless, np.inf, model.upperPositionLimit[at]),
+        **range_of(model.lowerPositionLimit[at], model.upperPositionLimit[at], endless),
         "v_max": limit(model.upperVelocityLimit[dofs]),
         "tau_max": limit(model.upperEffortLimit[dofs]),
         "damping": np.array(model.damping[dofs]),

@@ -31,7 +31,7 @@ _NONE = {"kp": np.nan, "kd": np.nan, "q_min": -np.inf}  # others are inf without
 _ROWS = {"ripple": 4, "falling": 3, "coupled": 5}  # numbers in a row
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Robot:
     """The nominal simulator of a serial arm of n joints.
 
@@ -110,7 +110,8 @@ class Robot:
                 raise RobotError(f"{name} needs one value for each of {self.joints}")
         if (self.q_min > self.q_max).any():
             joint = self.joints[int(np.argmax(self.q_min > self.q_max))]
-            raise RobotError(f"q_min of joint {joint!r} is above its q_max")
+            where = f"{self.path}: " if self.path else ""
+            raise RobotError(f"{where}q_min of joint {joint!r} is above its q_max")
         for name in _SERVO:
             x = getattr(self, name)
             if x.shape != (self.chain.size,) or (x < 0).any():
@@ -163,6 +164,12 @@ class Robot:
                     f"{self.path or self.name}: {name} of joint {self.joints[j]!r} is "
                     f"{x[j]:g}, which drives the joint; valid is 0 or more"
                 )
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Robot) and self.as_dict() == other.as_dict()
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.joints))
 
     def __repr__(self) -> str:
         return f"<Robot {self.name}: {', '.join(self.joints)}>"

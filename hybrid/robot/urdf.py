@@ -9,7 +9,7 @@ limit), springs from Gazebo (``springStiffness`` and ``springReference``).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, TreeBuilder
@@ -47,6 +47,7 @@ def read_urdf(
     def of_joints(tag: str, attribute: str) -> Array:
         return np.array([number(x, tag, attribute, 0.0) for x in arm])
 
+    lower, upper = of_joints("limit", "lower"), of_joints("limit", "upper")
     endless = [x.get("type") == "continuous" for x in arm]
     rotors, springs = dict(_rotors(root)), dict(_springs(root))
     spring = np.array([springs.get(name, (0.0, 0.0)) for name in keep])
@@ -55,8 +56,7 @@ def read_urdf(
         "name": root.get("name"),
         "chain": tree.chain(keep, held, _GRAVITY, armature),
         "held": held,
-        "q_min": np.where(endless, -np.inf, of_joints("limit", "lower")),
-        "q_max": np.where(endless, np.inf, of_joints("limit", "upper")),
+        **range_of(lower, upper, endless),
         "v_max": limit(of_joints("limit", "velocity")),
         "a_max": limit(of_joints("limit", "drake:acceleration")),
         "tau_max": limit(of_joints("limit", "effort")),
@@ -265,6 +265,14 @@ def _number(text: str, what: str) -> float:
 
 def _shown(element: Element) -> str:
     return repr(f"{element.tag} {printable(element.get('name', ''))}".strip())
+
+
+def range_of(lower: Array, upper: Array, endless: Sequence[bool]) -> dict[str, Array]:
+    """Position limits; both 0, as exporters of CAD write none, become infinity."""
+    none = np.array(endless) | ((lower == 0) & (upper == 0))
+    return {
+        "q_min": np.where(none, -np.inf, lower), "q_max": np.where(none, np.inf, upper)
+    }  # fmt: skip
 
 
 def limit(values: Array) -> Array:

@@ -14,6 +14,7 @@ from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap, simulated_torque
 from hybrid.dynamics import RigidBody
 from hybrid.errors import RecordingError
 from hybrid.identification.preparation import (
+    SLOWEST,
     STANDING,
     decimated_motion,
     motions_from_logs,
@@ -23,7 +24,6 @@ from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 from hybrid.signals.filters import butterworth, filter_reach, passes_all
 
-_SLOWEST = 0.002  # rad/s or m/s, speed that noise shows at rest
 _REST = 0.7  # periods of the cut-off, reach of declared dry friction near rest
 _FAR = 10.0  # standard deviations of noise, of simulated from measured torque
 NORMAL = 1.4826  # standard deviation of normal noise over its median size
@@ -68,7 +68,7 @@ def measure_gap(
     ]
     speeds = [np.abs(m.v[m.mask]) for m in motions if m.mask.any()]
     fastest = np.max([x.max(axis=0) for x in speeds], axis=0, initial=0.0)
-    slowest = np.maximum(STANDING * fastest, _SLOWEST)
+    slowest = np.maximum(STANDING * fastest, SLOWEST)
     bodies = tuple(RigidBody(robot.chain, m) for m in motions)
     simulated, left, moving = [], [], []
     for r, (motion, body) in enumerate(zip(motions, bodies, strict=True)):
@@ -108,7 +108,7 @@ def _standing(
     slow = np.abs(v) <= slowest
     slow[1:] |= v[1:] * v[:-1] < 0
     reach = round(_REST / cutoff * motion.rate / factor)
-    rubs = robot.dry_friction(np.full((1, robot.size), _SLOWEST))[0] > 0
+    rubs = robot.dry_friction(np.full((1, robot.size), SLOWEST))[0] > 0
     slow[:, rubs] = _around(slow[:, rubs], reach)
     return slow
 

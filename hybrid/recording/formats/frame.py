@@ -55,8 +55,12 @@ def table_of_frame(frame: Any, source: str = "table", **more: Any) -> LogTable:
 def _array(column: Any, label: str, source: str) -> NDArray[Any]:
     """Samples of a column, shape (N,), or (N, n) if it holds lists."""
     x = np.asarray(column)
-    if x.dtype == object and is_time(label):  # times of a zone
-        x = np.asarray(column, dtype="datetime64[ns]")
+    try:
+        if x.dtype == object and is_time(label):  # times of a zone
+            x = np.asarray(column, dtype="datetime64[ns]")
+    except ValueError as error:
+        valid = "valid are numbers, or dates and times"
+        raise RecordingError(f"{source}: {label} holds {x[0]!r}; {valid}") from error
     try:
         x = np.array(x.tolist()) if x.dtype == object else x
     except ValueError as error:
