@@ -60,9 +60,10 @@ class Solution:
         that the data have set to zero are unknowns here, so that the covariance
         includes the uncertainty of that choice.
         """
-        complete = self.data.products(self.problem.complete())
+        whole, products = self.problem.complete(), self.products
+        complete = self.data.products(whole) if whole is not self.problem else products
         found = with_uncertainty(
-            self.products, self.weighted, prior=self.prior, complete=complete
+            products, self.weighted, prior=self.prior, complete=complete
         )
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)
