@@ -49,7 +49,7 @@ class Stream:
         self._close()
         stamps, self._stamps = np.concatenate(self._stamps), []
         times, self._times = self._times, []
-        own = bool((stamps[1:] > stamps[:-1]).all())
+        own = bool(stamps.any() and (stamps[1:] > stamps[:-1]).all())
         return (stamps if own else np.concatenate(times)), own
 
     def take(
