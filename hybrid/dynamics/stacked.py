@@ -1,7 +1,5 @@
 """Columns of rigid body and effects, and their base parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ remainder, and physically consistent links. A new term of a joint is accepted on
 lowers the held-out error of the predicted torque; see ``gate.py``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Preparation of logs for a fit: checks, filter, cut-off, cross-validation folds."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace

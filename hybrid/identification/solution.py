@@ -1,7 +1,5 @@
 """The solution of the physical terms, with its held-out error."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

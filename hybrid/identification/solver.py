@@ -9,8 +9,6 @@ Source: Breiman et al. 1984, "Classification and Regression Trees", section 3.4.
 rule of one standard error).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from functools import partial
 

@@ -4,8 +4,6 @@ Every stage must lower the held-out error. A stage that does not is left out, fo
 joint or for all, with a warning.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal

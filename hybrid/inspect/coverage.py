@@ -6,8 +6,6 @@ With the residual variance of each joint in ``Σ``, the covariance of the parame
 standard errors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ An arm has mass: its step from sample to sample changes little. A position that 
 and returns within a sample, or jumps, is a fault of the log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

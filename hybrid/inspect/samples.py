@@ -1,7 +1,5 @@
 """Find samples that no arm produces: too few, too large, constant, frozen."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rows of a problem along a motion, one chunk of samples at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

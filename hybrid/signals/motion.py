@@ -1,7 +1,5 @@
 """Turn a recording into a motion: filter and differentiate positions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Draw models from the posterior of an identified one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Intervals of a simulator's parameters, for domain randomisation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

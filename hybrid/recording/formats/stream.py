@@ -1,7 +1,5 @@
 """Collect messages with the same columns in blocks that can be taken once."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
