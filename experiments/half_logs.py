@@ -58,10 +58,10 @@ def pairs(motions: list[Motion]) -> Iterator[tuple[Motion, Motion]]:
 
 def of_laws(robot: Robot, motion: Motion, laws: tuple[Effect, ...], arm: Arm) -> Found:
     """The estimate of one half in given laws, shapes included."""
-    solver = Solver(robot, prepare([motion], arm.cutoff), "irls", robust=False)
-    linear = (*linear_effects(robot), *arm.effects)
-    solver.plain(problem := build_problem(robot.chain, linear))
-    found = solver.with_effects(solver.best(problem), laws)
+    solver = Solver(robot, data := prepare([motion], arm.cutoff), "irls", robust=False)
+    problem = build_problem(robot.chain, (*linear_effects(robot), *arm.effects))
+    solver.plain(products := data.products(problem))
+    found = solver.with_effects(solver.best(products), laws)
     return found.problem.base.names, found.estimate
 
 

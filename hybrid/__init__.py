@@ -4,8 +4,6 @@ The torque that a joint drive reports is a sum of terms: rigid body + effects + 
 learned remainder. What is named here loads on first use: ``import hybrid`` is fast.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

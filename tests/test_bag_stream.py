@@ -53,6 +53,14 @@ def test_rows_come_back_in_order_whatever_the_blocks(small_blocks, rows, step):
     assert rows < 500 or len(blocks) > 3
 
 
+@pytest.mark.parametrize("stamp", [0, 5])
+def test_one_message_without_a_stamp_has_the_time_of_the_recorder(stamp):
+    made = Stream(("q1",))
+    made.add(np.array([stamp]), np.array([7]), [np.zeros(1)])
+    clock, own = made.clock()
+    assert (clock.tolist(), own) == (([5], True) if stamp else ([7], False))
+
+
 def test_a_block_is_dropped_as_soon_as_its_rows_are_in_the_recording(
     small_blocks, monkeypatch
 ):

@@ -28,7 +28,7 @@ from hybrid.diagnosis.explanations.servo_fit import (
     log_likelihood_ratio,
 )
 from hybrid.diagnosis.gap.coverage import not_excited, reversals
-from hybrid.diagnosis.gap.faults import Faults, _usual_run, find_faults, stretches
+from hybrid.diagnosis.gap.faults import Faults, find_faults
 from hybrid.diagnosis.gap.measure import (
     _around,
     block_seconds,
@@ -40,6 +40,7 @@ from hybrid.diagnosis.gap.servo import LATENCIES, ServoLog, laws
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.viscous import Viscous
+from hybrid.inspect.stuck import _usual_run, stretches
 from hybrid.recording import Recording
 from hybrid.signals import autocorrelation_time
 

@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 
 from hybrid.diagnosis.gap.faults import (
-    _clipped,
     _frozen,
     _leaps,
-    _moving,
-    _runs,
-    _usual_run,
     find_faults,
 )
+from hybrid.inspect.stuck import _clipped, _moving, _usual_run, repeats
 from hybrid.recording import Recording
 
 STEP = 2.0**-6  # s; steps of time and position without rounding errors
@@ -88,8 +85,8 @@ def test_at_an_impact_the_speed_jumps_as_well(factor, rare):
 
 def test_runs_are_at_least_so_long():
     x = np.repeat([0.0, 1.0, 0.0, 2.0], [3, 4, 5, 2])
-    assert _runs(x, 4).tolist() == [False] * 3 + [True] * 9 + [False] * 2
-    assert _runs(x, 6).sum() == 0 and _runs(x, 1).all()
+    assert repeats(x, 4).tolist() == [False] * 3 + [True] * 9 + [False] * 2
+    assert repeats(x, 6).sum() == 0 and repeats(x, 1).all()
 
 
 def test_a_run_counts_where_some_joint_moves_for_more_than_half_of_it():

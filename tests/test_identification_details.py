@@ -251,8 +251,10 @@ def test_the_cutoff_is_halved_where_torque_is_noisy_and_kept_where_not(noise):
         q = m.q + 1e-6 * rng.standard_normal(m.q.shape)
         logs.append(Recording(m.t, q, tau=exact.tau + shake, joints=m.joints))
     first = prepare(logs, None).cutoff
-    found = prepare_at_best_cutoff(pendulum(), logs, (), True).cutoff
-    halvings = np.log2(first / found)
+    problem = build_problem(pendulum().chain, linear_effects(pendulum()))
+    data, products = prepare_at_best_cutoff(logs, problem, robust=True)
+    assert (products.total == data.products(problem).total).all()
+    halvings = np.log2(first / (found := data.cutoff))
     assert halvings == pytest.approx(round(halvings)) and 0 <= halvings <= 3
     assert found >= 3.0 * 4 / 12.0 and first <= RATE / 2
 

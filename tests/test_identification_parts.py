@@ -31,6 +31,7 @@ from hybrid.identification.gate import lowers
 from hybrid.identification.identification import Identification
 from hybrid.identification.preparation import (
     _folds,
+    linear_effects,
     motions_from_logs,
     prepare,
     prepare_at_best_cutoff,
@@ -143,7 +144,8 @@ def test_quarters_are_of_the_samples_that_move_and_count():
 
 
 def test_the_cut_off_of_motions_without_a_log_is_none():
-    found = prepare_at_best_cutoff(pendulum(), swings(count=2), (), True)
+    problem = build_problem(pendulum().chain, linear_effects(pendulum()))
+    found, _ = prepare_at_best_cutoff(swings(count=2), problem, robust=True)
     assert found.cutoff == np.inf
 
 
@@ -216,7 +218,7 @@ def piece(v, rate=1000.0):
 def test_an_order_is_offered_if_a_tenth_of_the_samples_show_it(slow, offered):
     v = np.where(np.arange(1000) < slow, 0.0, 1000.0)
     own, q = piece(v)
-    found = _best_orders([own], [np.sin(2 * q)], 10.0).tolist()
+    found = _best_orders([own], [np.sin(2 * q)], 10.0)
     assert (1 in found and 2 in found) == offered and (offered or not found)
     assert not set(found) - set(range(1, 9))
 
@@ -225,14 +227,14 @@ def test_the_strongest_orders_are_offered_and_the_slowest_eight():
     own, q = piece(np.full(50_000, 0.01))
     noise = np.random.default_rng(0).standard_normal(len(q))
     slow = list(range(1, 9))
-    by_chance = _best_orders([own], [noise], 10.0).tolist()
+    by_chance = _best_orders([own], [noise], 10.0)
     assert by_chance[:8] == slow and len(by_chance) < 12
     strong = [20, 37, 90, 150, 222, 301, 399, 400]
     waves = sum(np.sin(k * q + k) for k in strong)
-    found = _best_orders([own], [noise + waves], 10.0).tolist()
+    found = _best_orders([own], [noise + waves], 10.0)
     assert found == slow + strong
     weaker = noise + waves + 0.5 * np.sin(55 * q)  # the ninth of them
-    assert _best_orders([own], [weaker], 10.0).tolist() == found
+    assert _best_orders([own], [weaker], 10.0) == found
 
 
 # --- friction -------------------------------------------------------------------------

@@ -129,8 +129,6 @@ def lines(doubts):
             log(tau=put(BOTH, np.s_[:, 1], 0.25)),
             [("error", (1,), "tau2 (b) is constant (0.25); valid is a torque that was "
               "measured"),
-             ("warning", (1,), "tau2 (b) stays at 0.25 for 100.0%: saturated?"),
-             ("warning", (1,), "tau2 (b) stays at 0.25 for 100.0%: saturated?"),
              ("warning", (1,), "tau2 (b), row 1 (data rows count from 1): frozen for "
               "500 samples")],
             np.nan,
@@ -148,12 +146,13 @@ def lines(doubts):
             np.mean(WAVE <= -0.9),
         ),
         (
-            log(tau=put(BOTH, np.s_[100:151, 1], 0.33)),
+            log(tau=put(BOTH, np.s_[100:120, 1], 0.33)),
             [("warning", (1,), "tau2 (b), row 101 (data rows count from 1): frozen for "
-              "51 samples")],
-            51,
+              "20 samples")],
+            20,
         ),
-        (log(tau=put(BOTH, np.s_[100:150, 1], 0.33)), [], None),
+        (log(tau=put(BOTH, np.s_[100:119, 1], 0.33)), [], None),
+        (log(HELD, tau=put(BOTH, np.s_[100:120, 1], 0.33)), [], None),
         (
             log(put(BOTH, np.s_[45:66, 1], BOTH[45, 1])),
             [("warning", (1,), "q2 (b), row 46 (data rows count from 1): frozen for "

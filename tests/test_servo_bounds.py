@@ -8,6 +8,7 @@ import pytest
 from pendulum import pendulum
 
 from hybrid.errors import RecordingError
+from hybrid.plant.noise import rated_torque
 from hybrid.recording import Recording
 from hybrid.servo import fit
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
@@ -31,12 +32,10 @@ STEP = 0.02
 # --- what a file leaves open ----------------------------------------------------------
 
 
-def test_a_servo_without_numbers_carries_three_times_the_outstretched_arm():
-    """Each rod of 2 kg is counted at the tip, a tenth of a metre farther out."""
-    found = Drive.declared(
-        replace(BARE, chain=replace(BARE.chain, armature=np.zeros(2)))
-    )
-    stall = 3 * 9.81 * np.array([4.0, 2.0]) * (0.6 + 0.1)
+def test_a_servo_without_numbers_has_the_usual_rated_torque():
+    bare = replace(BARE, chain=replace(BARE.chain, armature=np.zeros(2)))
+    found, stall = Drive.declared(bare), rated_torque(bare)
+    assert (stall > 9.81 * 2.0 * 0.5 * 0.6).all()  # carries the outer rod
     np.testing.assert_allclose(found["stall"], stall)
     np.testing.assert_allclose(found.stall, stall)
     np.testing.assert_allclose(found["stiffness"], stall / 0.1)
@@ -51,7 +50,7 @@ def test_a_servo_without_numbers_carries_three_times_the_outstretched_arm():
     for name in ("offset", "zero", "delay", "play", "spring", "stiction", "pace"):
         assert not found[name].any()
     light = BARE.with_inertial(1e-6 * BARE.chain.inertial)
-    np.testing.assert_array_equal(Drive.declared(light)["stall"], [0.1, 0.1])
+    np.testing.assert_array_equal(Drive.declared(light)["stall"], [1.0, 1.0])
 
 
 def test_a_link_reaches_as_far_as_its_joints_and_slides_together():

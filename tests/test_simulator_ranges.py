@@ -10,23 +10,26 @@ import numpy as np
 import pytest
 from simulated import arm
 
+from hybrid.dynamics import effect_gains, stacked_base
 from hybrid.dynamics.pseudo_inertia import is_consistent
 from hybrid.effects import effect_class
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.errors import HybridError
 from hybrid.exports import export, ranges, sample
+from hybrid.exports.simulator.posterior import _changed
 from hybrid.files import read_yaml
 from hybrid.identification import identify
 from hybrid.model import DynamicModel
 from hybrid.plant import Plant, simulate
+from hybrid.robot.chain import INERTIAL_NAMES
 
 NAMES = ("armature", "damping", "frictionloss")
 
 
 @cache
-def fitted():
-    """The planar arm, identified from simulated logs of itself."""
-    robot = arm("planar")
+def fitted(name="planar"):
+    """An arm, identified from simulated logs of itself."""
+    robot = arm(name)
     plant = Plant(robot, [], nominal=robot)
     logs = simulate(plant, trajectories=4, duration=6.0, seed=3)
     with warnings.catch_warnings():
@@ -56,6 +59,38 @@ def test_draws_spread_as_the_covariance_says():
                 std = np.sqrt(fit.covariance[(k := fit.labels.index(label)), k])
                 assert np.std(own) == pytest.approx(std, rel=0.2), label
     assert all(is_consistent(model.inertial).all() for model in drawn)
+
+
+def test_a_drawn_gain_changes_with_the_others_wherever_its_effect_acts():
+    robot, rng = arm("planar"), np.random.default_rng(0)
+    tilt = effect_class("gravity_tilt")((0, 1), {"roll": 0.1, "pitch": 0.2})
+    ripples = [
+        effect_class("torque_ripple")((1,), {"sine": 1.0, "periods": k}) for k in (3, 5)
+    ]
+    model = replace(fitted().model, effects=(tilt, *ripples))
+    labels = stacked_base(
+        robot.chain, model.effects, effect_gains(model.effects)
+    ).labels
+    changes = {x: 0.01 * k for k, x in enumerate(labels) if "." in x}
+    for effect in model.effects:
+        found = _changed(model, effect, changes, rng)
+        for name in ("pitch",) if effect is tilt else ("sine", "cosine"):
+            ends = (
+                "arm]" if effect is tilt else f"periods {effect.values['periods']:g}]"
+            )
+            own = [
+                x for label, x in changes.items()
+                if f".{name}[" in label and label.endswith(ends)
+            ]  # fmt: skip
+            assert [found.values[name] - effect.values[name]] == pytest.approx(own)
+
+
+def test_what_varies_by_rounding_alone_has_no_interval():
+    # Its axes are vertical: of the first link, the torque tells the inertia about one.
+    found = ranges(fitted("scara").model)
+    assert [
+        x for joint, x in found.keys if joint == "shoulder" and x in INERTIAL_NAMES
+    ] == ["Izz"]
 
 
 def test_intervals_hold_the_truth_and_the_model():

@@ -4,8 +4,6 @@ Linear least squares finds the entries of an arbitrary matrix, and the nearest r
 replaces it: Shah 2013, doi 10.1115/1.4024473. It needs no initial estimate.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hybrid.arrays import Array

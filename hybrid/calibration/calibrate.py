@@ -1,7 +1,5 @@
 """Calibration of the geometry of an arm from measured poses."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -11,8 +11,6 @@ as χ² with Satterthwaite's degrees of freedom. Bell & McCaffrey 2002; Imbens &
 2016, doi 10.1162/REST_a_00552.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular

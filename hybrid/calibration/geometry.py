@@ -6,8 +6,6 @@ common normal of nearly parallel axes is ill-conditioned; there a second angle Î
 replaces the first axis' d: Hayati and Mirmirani 1985, doi 10.1002/rob.4620020406.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Predicted measurements of an arm, and their derivatives by its parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -8,8 +8,6 @@ first case and an F distribution in the second, and the result is the same in bo
 Hadi 1992, doi 10.1111/j.2517-6161.1992.tb01449.x).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta

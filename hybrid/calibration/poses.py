@@ -1,7 +1,5 @@
 """Optimal choice of poses for a calibration."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

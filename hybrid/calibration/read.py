@@ -1,7 +1,5 @@
 """Reader of measurements from a CSV file."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from functools import partial

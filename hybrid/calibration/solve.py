@@ -5,8 +5,6 @@ well. A robust loss finds the scale of the noise, outliers are then rejected, an
 least squares on the rest gives the estimates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -5,8 +5,6 @@ products. The derivative of the pose by any factor is the screw of that factor: 
 2007, doi 10.1109/TRO.2007.896765.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Cross-validation of a calibration on held-out poses."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Checks of the data of a learned remainder."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,7 +1,5 @@
 """The prior beliefs of a diagnosis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

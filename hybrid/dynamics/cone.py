@@ -3,8 +3,6 @@
 Source: Goulart and Chen 2024, arXiv 2405.12762 (interior-point conic solver).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import csc_matrix
 

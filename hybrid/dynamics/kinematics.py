@@ -1,7 +1,5 @@
 """Placement of the links of a chain."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

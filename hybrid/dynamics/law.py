@@ -4,8 +4,6 @@ A few hundred operations on numbers then take some microseconds. On arrays they 
 the speed of the processor's cache.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Source: Luh, Walker and Paul 1980, doi 10.1115/1.3149599; with parameters about 
 frame origin as in Atkeson et al. 1986, doi 10.1177/027836498600500306.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@ only if some distribution of mass has them.
 Source: Wensing, Kim and Slotine 2018, doi 10.1109/LRA.2017.2729659.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

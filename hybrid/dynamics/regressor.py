@@ -4,8 +4,6 @@ The recursive Newton–Euler algorithm runs once for each arm, on symbols. The o
 that it records are compiled to functions of arrays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any

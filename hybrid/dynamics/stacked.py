@@ -1,7 +1,5 @@
 """Columns of rigid body and effects, and their base parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -33,22 +31,23 @@ def stacked_base(
 ) -> BaseParameters:
     """Base parameters of all inertial parameters and gains."""
     labels, units = inertial_labels(chain.size)
-    for e, g in gains:
-        effect, gain = effects[e], effects[e].gains[g]
-        where = "+".join(chain.joints[j] for j in effect.joints)
-        where = "arm" if effect.scope == "arm" else where
-        if sum((x.id, x.joints) == (effect.id, effect.joints) for x in effects) > 1:
-            # Two ripples of one joint differ only in their shapes.
-            shapes = [
-                f"{s.name} {effect.values[s.name]:.6g}"
-                for s in effect.shapes
-                if not s.whole
-            ]
-            where = ", ".join([where, *shapes])
-        labels += (f"{effect.id}.{gain.name}[{where}]",)
-        units += (gain.unit,)
+    labels += tuple(gain_labels(chain.joints, effects, effects[e])[g] for e, g in gains)
+    units += tuple(effects[e].gains[g].unit for e, g in gains)
     stacked = stacked_columns(chain, effects, gains, rich_motion(chain))
     return base_parameters(stacked.reshape(-1, stacked.shape[2]), labels, units)
+
+
+def gain_labels(
+    joints: Sequence[str], effects: Sequence[Effect], effect: Effect
+) -> list[str]:
+    """Labels of the gains of an effect, which is one of several on these joints."""
+    where = "+".join(joints[j] for j in effect.joints)
+    where = "arm" if effect.scope == "arm" else where
+    if sum((x.id, x.joints) == (effect.id, effect.joints) for x in effects) > 1:
+        # Two ripples of one joint differ only in their shapes.
+        shapes = [s.name for s in effect.shapes if not s.whole]
+        where = ", ".join([where, *(f"{x} {effect.values[x]:.6g}" for x in shapes)])
+    return [f"{effect.id}.{gain.name}[{where}]" for gain in effect.gains]
 
 
 def stacked_columns(

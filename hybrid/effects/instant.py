@@ -5,8 +5,6 @@ symbols from which an export makes C or ONNX. Scalars have arithmetic, compariso
 NumPy's functions, but no branches: use ``np.where``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Laws that depend on the state of one joint only."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Registry of all effects: files of this folder, entry points, and a user's file."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import pkgutil

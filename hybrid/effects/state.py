@@ -1,7 +1,5 @@
 """Inputs of laws: the state of one joint, the rigid body, and the robot file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

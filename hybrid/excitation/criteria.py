@@ -6,8 +6,6 @@ eigenvalues and of their inverses, which tend to the largest and the smallest ei
 for large p (Kiefer 1974, doi 10.1214/aos/1176342810).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """Design of excitation motions, with verified limits and predicted standard errors."""
 
-from __future__ import annotations
-
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -6,8 +6,6 @@ speeds separates inertia, friction and gravity. All but the last stay within 80 
 robot file's limits; an :class:`.ExcitationError` names a limit that prevents a motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

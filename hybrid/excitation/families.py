@@ -1,7 +1,5 @@
 """Families of motions that begin and end at rest: Fourier series and B-splines."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Files of a design: references as CSV, results as JSON."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

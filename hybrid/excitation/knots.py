@@ -1,7 +1,5 @@
 """Motions through knots, from which ready-made experiments are built."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hybrid.arrays import Array

@@ -1,7 +1,5 @@
 """The optimisation problem of one or several motions: criterion, limits and grids."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@ The code follows MISRA C where it stays readable: braces everywhere, no side eff
 expressions, loops of fixed length, and a returned status.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Write the C export: header, example, and build file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Export a model in a format that other programs run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

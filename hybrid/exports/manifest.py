@@ -1,7 +1,5 @@
 """Manifest of an export: its model, units, limits and files."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

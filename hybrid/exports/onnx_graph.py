@@ -1,7 +1,5 @@
 """Write a program as an ONNX graph in double precision, with a free batch axis."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from functools import partial

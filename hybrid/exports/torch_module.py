@@ -5,8 +5,6 @@ An archive is a zip file of tensors, operations as text, and tables in pickle fo
 the operations of the archive. It imports and calls no Python code.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import operator

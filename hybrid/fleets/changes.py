@@ -6,8 +6,6 @@ on all data up to each period (Siegmund and Venkatraman 1995, doi
 threshold for the stated rate is found by simulation of noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache

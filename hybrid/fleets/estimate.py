@@ -7,8 +7,6 @@ is a regularised least squares. Residuals are correlated in time: the number of 
 that count as one independent sample is their autocorrelation time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice

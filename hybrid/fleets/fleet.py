@@ -1,7 +1,5 @@
 """The verb ``fleet``: which arms change, when and in which parameter, and outliers."""
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ Paths are those of fsspec, so logs may lie on a disk or in a store such as ``s3:
 The plan lists the logs and reads none.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -6,8 +6,6 @@ estimate of one arm is shrunk towards the mean (Efron and Morris 1975, doi
 10.1080/01621459.1975.10479864).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

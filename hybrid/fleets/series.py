@@ -7,8 +7,6 @@ periods, see :mod:`hybrid.fleets.scatter`. Own changes are detected in the rest,
 :mod:`hybrid.fleets.changes`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date

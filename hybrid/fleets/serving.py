@@ -1,7 +1,5 @@
 """The side of a child process that answers its parent's questions."""
 
-from __future__ import annotations
-
 import json
 import os
 import queue

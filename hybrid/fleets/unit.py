@@ -4,8 +4,6 @@ It runs in its own process, see :mod:`hybrid.fleets.worker`, and knows nothing o
 fleet. An error of a log is a row.
 """
 
-from __future__ import annotations
-
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence

@@ -11,8 +11,6 @@ program); Lee, Wensing and Park 2020, doi 10.1109/TRO.2019.2926491 (links measur
 against their nominal pseudo-inertia, whatever the frame and the units).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.effects import Scale
 from hybrid.errors import RecordingError
-from hybrid.regression.cross_products import CrossProducts, accumulate, chunks_along
+from hybrid.regression.chunk import Chunk, chunks_along
+from hybrid.regression.cross_products import CrossProducts, accumulate
 from hybrid.regression.problem import Problem
 from hybrid.signals import Motion, Sampler
 
 _FEWEST_BLOCKS = 48  # over which the gain of a term is averaged
+_MOST_HELD = 2**28  # bytes of columns of links
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class Data:
             standing=self.standing,
             folds=self.folds,
             blocks=self.blocks,
+            chunks=self.chunks,
         )
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
@@ -70,13 +73,13 @@ class Data:
             Unfiltered torque, shape (N, n) for each motion, [N·m].
         """
         found = []
-        for motion, fold in zip(self.motions, self.folds, strict=True):
-            residual = np.empty_like(motion.tau)
-            sampler = Sampler.for_rate(motion.rate, self.cutoff)
-            for first, _, D in chunks_along(problem, motion, sampler):
-                start = first * sampler.factor
-                here = slice(start, start + D.shape[1])
-                parts = np.split(D, problem.offsets[1:-1])
+        for fold, chunks in zip(self.folds, self.chunks, strict=True):
+            residual = np.empty((len(fold), len(problem.support)))
+            for chunk in chunks:
+                _, full = chunk.rows(problem)
+                start = chunk.first * chunk.sampler.factor
+                here = slice(start, start + full.shape[1])
+                parts = np.split(full, problem.offsets[1:-1])
                 for i, own in enumerate(parts):
                     known = theta[:, problem.support[i]] @ own[:-1]
                     known = np.take_along_axis(known, fold[None, here], axis=0)[0]
@@ -106,6 +109,16 @@ class Data:
             found.append(last + label)
             last += 1 + int(label.max())
         return found
+
+    @cached_property
+    def chunks(self) -> list[list[Chunk]]:
+        """Chunks of each motion; the columns of the links in short logs are held."""
+        n = self.motions[0].q.shape[1]
+        entries = 5 * n * (n + 1) * sum(len(m.t) for m in self.motions)
+        hold, rates = 8 * entries < _MOST_HELD, [m.rate for m in self.motions]
+        samplers = [Sampler.for_rate(x, self.cutoff) for x in rates]
+        pairs = zip(self.motions, samplers, strict=True)
+        return [list(chunks_along(*x, hold=hold)) for x in pairs]
 
     @cached_property
     def fold_count(self) -> int:

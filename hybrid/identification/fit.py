@@ -1,7 +1,5 @@
 """The result of an identification: model, uncertainty and undetermined parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

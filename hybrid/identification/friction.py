@@ -9,8 +9,6 @@ Source: Lawson and Hanson 1974, doi 10.1137/1.9781611971217 (non-negative least
 squares).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 

@@ -5,8 +5,6 @@ without the term, so that noise common to both cancels. The term is accepted if 
 gain over the blocks exceeds its own uncertainty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ remainder, and physically consistent links. A new term of a joint is accepted on
 lowers the held-out error of the predicted torque; see ``gate.py``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -29,15 +27,14 @@ from hybrid.identification.data import Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import with_accepted
-from hybrid.identification.preparation import linear_effects
 from hybrid.identification.remainder import Learned, fit_remainder
 from hybrid.identification.ripple import JUDGED, find_ripples, in_band
 from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
+from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.intervals import condition_number
 from hybrid.regression.least_squares import Estimator
-from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
@@ -79,23 +76,21 @@ class Identification:
     squares: Array
     condition: float
 
-    def rigid_stage(self) -> dict[str, Array]:
-        """Fit the rigid body with linear friction.
+    def rigid_stage(self, products: CrossProducts) -> dict[str, Array]:
+        """Fit the rigid body with linear friction, whose cross-products are given.
 
         Returns:
             Held-out RMS of each joint by estimator, and of the best one with the
             prior, shape (n,) each, [N·m].
         """
-        linear = linear_effects(self.robot)
-        problem = build_problem(self.robot.chain, (*linear, *self.extra))
         if any(e.changes_signals for e in self.extra):
-            problem, self.settled = self.solver.linearised(problem)
-        self.simpler = self.solver.plain(problem)
-        self._adopt(self.solver.best(problem))
+            products, self.settled = self.solver.linearised(products)
+        self.simpler = self.solver.plain(products)
+        self._adopt(self.solver.best(products))
         last = self.simpler[self.estimator]
-        A, _ = last.products.normal(last.weighted.weight)
+        A, _ = products.normal(last.weighted.weight)
         self.condition = condition_number(A)
-        poor = poor_excitation(problem, A)
+        poor = poor_excitation(products.problem, A)
         if poor:
             self.warnings.append(poor)
         found = {x.upper(): s.squares for x, s in self.simpler.items()}

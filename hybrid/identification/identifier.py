@@ -1,7 +1,5 @@
 """Identification as an estimator of scikit-learn."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Self
 

@@ -10,6 +10,7 @@ within blocks).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,12 +72,12 @@ class PartialRegression:
         )
 
     def cross_validated(
-        self, waves: Array, fold: NDArray[np.intp]
+        self, waves: Sequence[Array], fold: NDArray[np.intp]
     ) -> tuple[Array, Array]:
         """Squared residuals on each fold by a fit on the other folds.
 
         Args:
-            waves: Pairs of columns, shape (K, 2, M).
+            waves: K pairs of columns, shape (2, M) each.
             fold: Fold of each sample, shape (M,).
 
         Returns:
@@ -88,17 +89,16 @@ class PartialRegression:
         parts = [every[:, fold == k] for k in range(folds)]
         sums = np.array([x @ x.T for x in parts])
         pairs = [[], *([first, first + 1] for first in range(d, len(every) - 1, 2))]
-        found = []
-        for pair in pairs:
-            rows = [*range(d), *pair, len(every) - 1]
-            own = sums[:, rows][:, :, rows]
-            rest = own.sum(axis=0) - own
-            for k in range(folds):
-                N, h, at = self._normal(rest[k], np.arange(folds) != k)
+        squares = np.empty((len(pairs), folds))
+        for k, own in enumerate(sums):
+            rest = sums.sum(axis=0) - own
+            others = [x.sum(axis=0) - x[k] for x in self.others]
+            for i, pair in enumerate(pairs):
+                rows = np.ix_(*2 * [[*range(d), *pair, len(every) - 1]])
+                N, h, at = self._normal(rest[rows], *others)
                 c = np.append(-pseudo_solve(N, h)[at], 1.0)
-                found.append(c @ own[k] @ c)
-        before, *after = np.reshape(found, (-1, folds))
-        return before, np.array(after)
+                squares[i, k] = c @ own[rows] @ c
+        return squares[0], squares[1:]
 
     def is_significant(
         self, wave: Array, block: NDArray[np.intp], chance: float
@@ -130,7 +130,7 @@ class PartialRegression:
             the torque of each sample, shape (2, M), and the residual, shape (M,).
         """
         rows = np.concatenate([self.columns, wave, self.residual[None]])
-        N, h, at = self._normal(rows @ rows.T, np.ones(len(self.others[0])))
+        N, h, at = self._normal(rows @ rows.T, *(x.sum(axis=0) for x in self.others))
         pair = np.eye(len(h))[:, -2:]
         theta, *inverse = pseudo_solve(N, np.column_stack([h, pair]))[at].T
         slopes = np.array(inverse) @ rows[:-1]
@@ -138,14 +138,13 @@ class PartialRegression:
         return theta[-2:], np.array(inverse)[:, -2:], slopes, residual
 
     def _normal(
-        self, sums: Array, chosen: Array
+        self, sums: Array, A: Array, b: Array
     ) -> tuple[Array, Array, NDArray[np.intp]]:
         """Normal matrix and right side of all joints, and where this joint is in them.
 
-        The sums are those of its columns, a new pair or none, and its residual; folds
-        of the other joints are used as ``chosen``, shape (F,).
+        The sums are those of its columns, a new pair or none, and its residual; A and b
+        are those of the other joints.
         """
-        A, b = (np.tensordot(chosen, x, axes=1) for x in self.others)
         new = len(sums) - len(self.columns) - 1
         normal, moment = np.pad(A, (0, new)), np.pad(b, (0, new))
         at = np.append(self.support, len(b) + np.arange(new))

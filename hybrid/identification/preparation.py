@@ -1,7 +1,5 @@
 """Preparation of logs for a fit: checks, filter, cut-off, cross-validation folds."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,8 +22,9 @@ from hybrid.identification.data import Data, fastest
 from hybrid.inspect import check_recordings
 from hybrid.model.declared import declared_effects
 from hybrid.recording import Recording
+from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import OUTLYING, solve_weighted, without_folds
-from hybrid.regression.problem import build_problem, part
+from hybrid.regression.problem import Problem, part
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
 
@@ -189,31 +188,44 @@ def linear_effects(robot: Robot) -> list[Effect]:
 
 
 def prepare_at_best_cutoff(
-    robot: Robot,
     logs: Sequence[Recording | Motion],
-    extra: Sequence[Effect],
+    problem: Problem,
+    cutoff: float | None = None,
+    *,
     robust: bool,
-) -> Data:
+) -> tuple[Data, CrossProducts]:
     """Data at the cut-off with which a linear model predicts held-out torque best.
 
     The first cut-off comes from the spectrum of the positions. Torque may be noisy at
     lower frequencies, and dry friction is noisy where the speed is. So the cut-off is
     halved while that lowers the held-out error of weighted least squares by more than
     the friction which it hides may be worth.
+
+    Args:
+        logs: Checked logs, see :func:`checked_logs`, or motions made from them.
+        problem: The linear model.
+        cutoff: The cut-off, if it is not to be chosen, [Hz].
+        robust: Whether outlying blocks count less.
+
+    Returns:
+        The data, and the cross-products of the problem on them.
+
+    Raises:
+        IdentificationError: Every sample is masked, or the cut-off is too low.
     """
-    problem = build_problem(robot.chain, (*linear_effects(robot), *extra))
-    best = data = prepare(logs, None)
-    highest, least = best.cutoff, np.inf
-    if not any(isinstance(x, Recording) for x in logs):
+    data = prepare(logs, cutoff)
+    products, highest, least = data.products(problem), data.cutoff, np.inf
+    best = data, products
+    if cutoff is not None or not any(isinstance(x, Recording) for x in logs):
         return best
-    shortest = min(float(m.t[-1] - m.t[0]) for m in best.motions)
+    shortest = min(float(m.t[-1] - m.t[0]) for m in data.motions)
     for halvings in range(_MOST_HALVINGS + 1):
         cutoff = highest / 2**halvings
         if cutoff * shortest < FEWEST_PERIODS * data.fold_count:
             break
         if halvings:
             data = prepare(logs, cutoff, highest=highest)
-        products = data.products(problem)
+            products = data.products(problem)
         found = solve_weighted(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, share=found.share)
         squares = summed_squares(products.held_out_squares(theta), robust)
@@ -221,7 +233,7 @@ def prepare_at_best_cutoff(
         level = float(np.log(np.maximum(error, 1e-300)).mean())
         if level > least - _WORTH_HALVING:
             break
-        best, least = data, level
+        best, least = (data, products), level
     return best
 
 

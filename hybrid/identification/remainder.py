@@ -1,7 +1,5 @@
 """Learn the remainder of each joint's torque, where that lowers the held-out error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

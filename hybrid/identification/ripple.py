@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,6 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification.data import Data
 from hybrid.identification.partial_regression import PartialRegression
 from hybrid.identification.solution import Solution
-from hybrid.regression.cross_products import chunks_along
 from hybrid.regression.problem import part
 from hybrid.signals import Sampler, butterworth_gain
 
@@ -54,20 +54,24 @@ def _ripples(
     ends = np.cumsum([len(p.fold) for p in pieces])
     chance = _FALSE_ALARMS / _MOST_PERIODS
     found: list[Effect] = []
+
+    @cache  # an order is tried again after others were found
+    def wave(periods: int) -> Array:
+        ripple = _ripple(joint, periods, pieces, cutoff)
+        return np.concatenate([p.wave(ripple) for p in pieces], axis=1)
+
     while len(found) < _MOST_RIPPLES:
         residual = np.split(terms.residual, ends[:-1])
         periods = _best_orders(pieces, residual, cutoff)
-        if not len(periods):
+        if not periods:
             break
-        ripples = [_ripple(joint, int(k), pieces, cutoff) for k in periods]
-        waves = np.concatenate([p.waves(ripples) for p in pieces], axis=2)
-        before, after = terms.cross_validated(waves, fold)
-        best = int(after.sum(axis=1).argmin())
-        lower = after[best].sum() < before.sum()
-        if not (lower and terms.is_significant(waves[best], block, chance)):
+        before, after = terms.cross_validated([wave(k) for k in periods], fold)
+        best = periods[after.sum(axis=1).argmin()]
+        lower = after.sum(axis=1).min() < before.sum()
+        if not (lower and terms.is_significant(wave(best), block, chance)):
             break
-        terms = terms.with_wave(waves[best])
-        found.append(ripples[best])
+        terms = terms.with_wave(wave(best))
+        found.append(_ripple(joint, best, pieces, cutoff))
     return found
 
 
@@ -99,12 +103,12 @@ class _Piece:
     fold: NDArray[np.intp]
     block: NDArray[np.intp]
 
-    def waves(self, ripples: Sequence[Effect]) -> Array:
-        """Filtered sine and cosine of K ripples, shape (K, 2, M)."""
+    def wave(self, ripple: Effect) -> Array:
+        """Filtered sine and cosine of a ripple, shape (2, M)."""
         zero = np.zeros_like(self.q)
         state = JointState(zero, self.q, self.v, zero, zero, zero)
-        pairs = [TorqueRipple.law(state, **x.shape_values) for x in ripples]
-        return self.sampler(np.array(pairs), axis=2)[:, :, self.use]
+        pair = TorqueRipple.law(state, **ripple.shape_values)
+        return self.sampler(np.array(pair), axis=1)[:, self.use]
 
     def refiltered(self, residual: Array) -> Array:
         """A residual at the rate of the motion, filtered again, shape (N,)."""
@@ -119,11 +123,11 @@ def _pieces(data: Data, solution: Solution) -> list[list[_Piece]]:
     problem, theta = solution.problem, solution.weighted.theta
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
     found: list[list[_Piece]] = [[] for _ in range(problem.chain.size)]
-    for motion, fold in zip(data.motions, data.folds, strict=True):
-        sampler = Sampler.for_rate(motion.rate, data.cutoff)
-        short = part(motion, slice(0, int(min(1.0, share) * len(motion.t))))
-        chunks = chunks_along(problem, short, sampler)
-        whole = np.concatenate([D for _, D, _ in chunks], axis=1)
+    for motion, fold, chunks in zip(data.motions, data.folds, data.chunks, strict=True):
+        sampler, total = chunks[0].sampler, int(min(1.0, share) * len(motion.t))
+        short = part(motion, slice(0, total))
+        begun = [x.rows(problem)[0] for x in chunks if x.first * sampler.factor < total]
+        whole = np.concatenate(begun, axis=1)[:, : -(-total // sampler.factor)]
         block = ((sampler.keep(short.t) - motion.t[0]) // _BLOCK_SECONDS).astype(int)
         own, moves = sampler.keep(fold[: len(short.t)]), sampler.keep(data.moves(short))
         for joint, every in enumerate(np.split(whole, problem.offsets[1:-1])):
@@ -149,7 +153,7 @@ def _ripple(
 
 def _best_orders(
     pieces: Sequence[_Piece], residual: Sequence[Array], cutoff: float
-) -> NDArray[np.intp]:
+) -> list[int]:
     """Orders that explain most alone, of those in band, and the slow ones in band."""
     periods = np.arange(1, _MOST_PERIODS + 1)
     seen, total, samples = np.zeros(_MOST_PERIODS), np.zeros(_BINS), 0
@@ -169,4 +173,4 @@ def _best_orders(
     best = np.argsort(-worth)[:_BEST_ORDERS]
     best = best[worth[best] > np.log(_MOST_PERIODS) * noise]
     slow = np.flatnonzero(seen[:_SLOW_ORDERS] > _FEWEST * samples)
-    return np.asarray(periods[np.union1d(best, slow)])
+    return [int(k) for k in periods[np.union1d(best, slow)]]

@@ -1,7 +1,5 @@
 """The solution of the physical terms, with its held-out error."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -60,9 +58,10 @@ class Solution:
         that the data have set to zero are unknowns here, so that the covariance
         includes the uncertainty of that choice.
         """
-        complete = self.data.products(self.problem.complete())
+        whole, products = self.problem.complete(), self.products
+        complete = self.data.products(whole) if whole is not self.problem else products
         found = with_uncertainty(
-            self.products, self.weighted, prior=self.prior, complete=complete
+            products, self.weighted, prior=self.prior, complete=complete
         )
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)

@@ -9,8 +9,6 @@ Source: Breiman et al. 1984, "Classification and Regression Trees", section 3.4.
 rule of one standard error).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from functools import partial
 
@@ -30,7 +28,7 @@ from hybrid.regression.least_squares import (
     without_folds,
 )
 from hybrid.regression.prior import Prior, file_prior
-from hybrid.regression.problem import Problem, build_problem
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 
 # Number of samples that the prior is worth. Of autocorrelated residuals about a hundred
@@ -51,13 +49,13 @@ class Solver:
 
     reference: Array  # squares of the better of LS and WLS, by block, shape (B, n)
 
-    def plain(self, problem: Problem) -> dict[Estimator, Solution]:
+    def plain(self, products: CrossProducts) -> dict[Estimator, Solution]:
         """Solutions by every estimator, without prior and bounds.
 
         The better of the first two at each joint is the reference of :meth:`cost`.
         """
-        solution = partial(self._solution, self._data, self._data.products(problem))
-        found = {x: solution(x, bounded=False) for x in ESTIMATORS}
+        solution = partial(self._solution, self._data, products, bounded=False)
+        found = {x: solution(x) for x in ESTIMATORS}
         ls, wls = (found[x].squares for x in ESTIMATORS[:2])
         self.reference = np.where(self.total(ls) < self.total(wls), ls, wls)
         return found
@@ -67,14 +65,14 @@ class Solver:
         """Sum of the reference over all blocks, shape (n,), [N²·m²]."""
         return np.maximum(self.total(self.reference), 1e-300)
 
-    def linearised(self, problem: Problem) -> tuple[Problem, bool]:
-        """The problem linearised about the gains of effects that change signals.
+    def linearised(self, products: CrossProducts) -> tuple[CrossProducts, bool]:
+        """A problem linearised about the gains of effects that change signals.
 
         Returns:
-            The problem, and whether the successive linearisation converged.
+            Its cross-products, and whether the successive linearisation converged.
         """
         for _ in range(_MOST_LINEARISATIONS):
-            products = self._data.products(problem)
+            problem = products.problem
             theta = solve_weighted(products, self._estimators[-1], bounded=True).theta
             effects = with_zero_gains(problem.fitted(theta)[1])
             before = [x for e in problem.effects for x in e.gain_values]
@@ -82,9 +80,10 @@ class Solver:
                 problem.chain, effects, inertial=problem.rigid_inertial(theta)
             )
             after = [x for e in problem.effects for x in e.gain_values]
+            products = self._data.products(problem)
             if np.allclose(before, after, rtol=1e-3):
-                return problem, True
-        return problem, False
+                return products, True
+        return products, False
 
     def with_effects(
         self,
@@ -110,21 +109,22 @@ class Solver:
             inertial=start.problem.rigid_inertial(start.weighted.theta),
             without=without,
         )
-        return self.best(problem, known, start.strength)
+        data = self._data.minus(known)
+        return self.best(data.products(problem), data, start.strength)
 
     def best(
         self,
-        problem: Problem,
-        known: Sequence[Array] | None = None,
+        products: CrossProducts,
+        data: Data | None = None,
         near: float | None = None,
     ) -> Solution:
         """The solution of least cost over estimators and strengths of the prior.
 
-        Only the neighbours of a strength ``near`` are tried, if there is one.
+        The cross-products are of ``data``, by default those of this solver. Only the
+        neighbours of a strength ``near`` are tried, if there is one.
         """
-        data = self._data.minus(known)
-        solution = partial(self._solution, data, data.products(problem))
-        file = file_prior(problem, self._robot, self._data.scales)
+        solution = partial(self._solution, data or self._data, products)
+        file = file_prior(products.problem, self._robot, self._data.scales)
         tried: Sequence[float] = _STRENGTHS if file is not None else (0.0,)
         if near is not None:
             at = tried.index(near)

@@ -4,8 +4,6 @@ Every stage must lower the held-out error. A stage that does not is left out, fo
 joint or for all, with a warning.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
@@ -17,12 +15,13 @@ from hybrid.identification.fit import Fit
 from hybrid.identification.identification import Identification
 from hybrid.identification.preparation import (
     checked_logs,
+    linear_effects,
     log_hash,
-    prepare,
     prepare_at_best_cutoff,
 )
 from hybrid.recording import Recording
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 from hybrid.threads import one_thread
@@ -78,13 +77,10 @@ def identify(
     _check_choices(estimator, stages)
     check_effects(effects)
     logs = checked_logs(robot, recordings)
-    data = (
-        prepare_at_best_cutoff(robot, logs, effects, robust)
-        if cutoff is None
-        else prepare(logs, cutoff)
-    )
+    problem = build_problem(robot.chain, (*linear_effects(robot), *effects))
+    data, products = prepare_at_best_cutoff(logs, problem, cutoff, robust=robust)
     terms = Identification(robot, data, estimator, tuple(effects), robust, seed)
-    held_out = terms.rigid_stage()
+    held_out = terms.rigid_stage(products)
     later = {
         "friction": terms.friction_stage,
         "ripple": terms.ripple_stage,

@@ -1,7 +1,5 @@
 """Held-out errors of a model and of its simpler versions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

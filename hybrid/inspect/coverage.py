@@ -6,8 +6,6 @@ samples that tell the same, the covariance of the parameters is ``C = (Wᵀ Σ�
 parameter is identifiable if it differs from zero by 1.96 standard errors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

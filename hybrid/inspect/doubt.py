@@ -1,7 +1,5 @@
 """Reasons to mistrust a log."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -5,8 +5,6 @@ and returns within a sample, or jumps, is a fault of the log. So is a torque tha
 to what no drive gives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Check a log against physics: first its samples, then its motion and torque."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from hybrid.arguments import RECORDING, ROBOT, check_argument

@@ -1,7 +1,5 @@
 """The result of an inspection: clock, joints, excitation and doubts of a log."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

@@ -10,8 +10,6 @@ may be a cable. No spring is stronger than the drive that moves it. Swapped colu
 wrong signs and a wrong clock need negative masses, or leave a large residual.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -12,8 +12,6 @@ robot file reveal, each times a scale, is a warning, as the file may be wrong; s
 that samples which a fit does not see tell less clearly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

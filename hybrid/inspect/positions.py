@@ -4,8 +4,6 @@ A unit is wrong if a position is half a turn beyond its limit, or beyond two tur
 order is wrong if positions fit the limits of other joints but not their own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

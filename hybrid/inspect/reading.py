@@ -1,7 +1,5 @@
 """List other readings of a log: other order, signs, units or clock."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations

@@ -1,13 +1,12 @@
 """Find samples that no arm produces: too few, too large, constant, frozen."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
+from hybrid.inspect.stuck import stretches, stuck_torque
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
 from hybrid.robot import Robot
@@ -128,29 +127,26 @@ def _torque(recording: Recording) -> Iterator[Doubt]:
         text = f"{places} are the same in every row"
         yield Doubt("tau", twins, text, _MEASURED, "error")
     for joint, x in enumerate(tau.T):
-        for limit in (float(x.min()), float(x.max())):
+        frozen, saturated = stuck_torque(recording.t, recording.q, x)
+        for limit in np.unique(x[saturated]).tolist():
             share = float(np.mean(x == limit))
-            # A real peak has a sample or two at its top; a saturated one is flat.
-            if 0.01 < share and longest_run(np.where(x == limit, 0.0, x))[0] >= 3:
-                where = recording.place("tau", joint)
-                text = f"{where} stays at {limit:.6g} for {share:.1%}: saturated?"
-                yield Doubt("tau", (joint,), text, evidence=share)
+            where = recording.place("tau", joint)
+            text = f"{where} stays at {limit:.6g} for {share:.1%}: saturated?"
+            yield Doubt("tau", (joint,), text, evidence=share)
+        if frozen.any():
+            length, start = max((x.stop - x.start, x.start) for x in stretches(frozen))
+            where = recording.place("tau", joint, start)
+            text = f"{where}: frozen for {length} samples"
+            yield Doubt("tau", (joint,), text, evidence=length)
 
 
 def _frozen(recording: Recording) -> Iterator[Doubt]:
-    samples = len(recording.t)
     both = np.hstack([recording.q, recording.tau])
     moved = np.any(np.diff(both, axis=0) != 0, axis=1)  # NaN differs from itself
     length, row = longest_run(np.concatenate([[0], np.cumsum(moved)]))
     if length > 10:
         text = f"all channels repeat for {length} samples from {row_words(row)}"
         yield Doubt("q", (), f"{text}: did the log stop?", evidence=length)
-    for joint, x in enumerate(recording.tau.T):
-        length, row = longest_run(x)
-        if length > max(50, 0.1 * samples):
-            where = recording.place("tau", joint, row)
-            text = f"{where}: frozen for {length} samples"
-            yield Doubt("tau", (joint,), text, evidence=length)
     for joint, x in enumerate(recording.q.T):
         length, row = longest_run(x)
         # At rest a position repeats as well, but it does not jump afterwards.

@@ -5,8 +5,6 @@ friction, rotor inertia and an offset. Files are wrong by a factor of about two,
 payload adds to that; a wrong unit is a factor of ten or more.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

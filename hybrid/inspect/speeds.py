@@ -4,8 +4,6 @@ A sensor may lag, or be wrong by a few percent. A factor, a sign or the speed of
 joint is a fault of the log.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Filter, differentiate and decimate a log to a few hundred samples."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

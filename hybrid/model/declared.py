@@ -1,7 +1,5 @@
 """Effects that a robot file declares."""
 
-from __future__ import annotations
-
 from hybrid.effects import Effect
 from hybrid.plant.joint_fields import couplings, curves, effects_of_fields
 from hybrid.robot import Robot

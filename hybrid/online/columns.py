@@ -1,7 +1,5 @@
 """Regression columns of rigid body and effects at some instants, in small steps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The estimate of all unknowns, updated with one row at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The health of a sample stream: counts, rate, problems."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 _MOST_LOST = 0.01  # of the samples of the last second

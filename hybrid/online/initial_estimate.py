@@ -1,7 +1,5 @@
 """The unknowns before the first sample: initial values, covariance and bounds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Acceptance of the samples of a stream, and their grouping into blocks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

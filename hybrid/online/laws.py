@@ -1,7 +1,5 @@
 """Laws of single joints, compiled into one function of plain numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

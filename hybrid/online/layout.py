@@ -1,7 +1,5 @@
 """Layout of the regression rows of all joints in one flat array."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Tracking of the variance and the correlation in time of torque errors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

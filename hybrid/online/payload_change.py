@@ -4,8 +4,6 @@ Source: Willsky and Jones 1976, doi 10.1109/TAC.1976.1101146 (generalised likeli
 ratio of a jump, here with fading memory).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import repeat
 

@@ -1,7 +1,5 @@
 """Conversion of a block of samples to one regression row, in small steps."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import numpy as np

@@ -6,8 +6,6 @@ doi 10.1016/S0005-1098(00)00093-5 (directional forgetting); Simon and Chia 2002,
 doi 10.1109/7.993234 (projection on bounds).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compilation of a robot with effects to a MuJoCo model."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

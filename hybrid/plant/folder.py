@@ -1,7 +1,5 @@
 """Files of a simulation: recordings and their truth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -12,7 +12,7 @@ from hybrid.effects import Effect, JointState
 from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
-from hybrid.plant.joint_fields import split_effects, springs
+from hybrid.plant.joint_fields import soft_springs, split_effects
 from hybrid.plant.laws import Laws
 from hybrid.robot.actuators import passive_motors
 from hybrid.robot.mjcf import knee_slope, sum_tendons
@@ -76,7 +76,7 @@ class Installed:
         """Replace the file's approximate friction by that of the model."""
         model, dof = self._model, self._dof
         joints = model.dof_jntid[dof]
-        stiffness, relaxed = springs(values)
+        stiffness, relaxed = soft_springs(values["stiffness"], values["preload"])
         model.jnt_stiffness[joints] = stiffness
         model.qpos_spring[model.jnt_qposadr[joints]] = relaxed
         model.dof_damping[dof] = values["damping"]

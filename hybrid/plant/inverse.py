@@ -1,7 +1,5 @@
 """Inverse dynamics of a whole MJCF file, computed by MuJoCo."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

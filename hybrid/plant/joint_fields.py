@@ -1,7 +1,5 @@
 """Conversion between effects and the fields of a simulator's joint."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -167,12 +165,14 @@ def with_curves(
     return replace(robot, knee=level, falling=own), [*rest, *bent]
 
 
-def springs(values: Mapping[str, Array]) -> tuple[Array, Array]:
+def soft_springs(stiffness: Array, preload: Array) -> tuple[Array, Array]:
     """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, shape (n,) each.
 
+    A preload without a spring is a very soft spring with a distant relaxed position.
+
     Args:
-        values: ``stiffness`` and ``preload``, shape (n,).
+        stiffness: Of the springs, shape (n,), [N·m/rad].
+        preload: Torque of the springs against motion at zero, shape (n,), [N·m].
     """
-    stiffness, preload = values["stiffness"], values["preload"]
     stiffness = np.where((stiffness == 0) & (preload != 0), _SOFTEST, stiffness)
     return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

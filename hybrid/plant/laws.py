@@ -1,7 +1,5 @@
 """Laws of many joints and trajectories, evaluated together at each step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Simulation of several trajectories of one arm together, step by step."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The simulated arm with controller and sensors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Reference motions for the controller."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

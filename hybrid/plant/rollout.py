@@ -1,7 +1,5 @@
 """Replays: a simulator starts in measured states and is driven by measured torque."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Rated torque and speed of joints: the units of the usual sizes of effects."""
 
-from __future__ import annotations
-
 from hybrid.effects import Scale
 from hybrid.plant.noise import rated_torque
 from hybrid.plant.reference import limits

@@ -1,7 +1,5 @@
 """The verb ``simulate``: recordings of random motions of a simulated arm."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reader of the YAML file that describes a simulated plant."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

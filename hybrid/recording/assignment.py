@@ -4,8 +4,6 @@ The map decides, or else the words of the label. Then joints are matched to the 
 Units come from the map, the label, the file, the format or SI, in this order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ becomes the recording. If it has no command, the command of another one is inter
 to its clock.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

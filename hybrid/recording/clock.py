@@ -1,7 +1,5 @@
 """Resample a recording with an irregular clock; split one with gaps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

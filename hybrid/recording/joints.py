@@ -1,7 +1,5 @@
 """Match the names and numbers of joints in a file to the joints of the robot."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

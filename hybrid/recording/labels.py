@@ -6,8 +6,6 @@ and sometimes a unit: ``q1``, ``actual_q_0``, ``elbow.pos``, ``effort[2]``,
 values from commanded ones.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from itertools import groupby

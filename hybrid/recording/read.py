@@ -1,7 +1,5 @@
 """Read recordings from files, folders, globs and tables in memory."""
 
-from __future__ import annotations
-
 import glob
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Report of how a log was read: the channel of each column, and the unused columns."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Table of named columns that the reader of a format returns; columns load later."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Convert units of files to SI, by pint."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from typing import Any

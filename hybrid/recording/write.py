@@ -1,7 +1,5 @@
 """Write recordings, and other columns of numbers, to files."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Mapping
 from pathlib import Path

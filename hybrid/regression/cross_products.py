@@ -6,7 +6,7 @@ errors need no samples after that, so memory does not grow with the length of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -17,16 +17,12 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
-from hybrid.regression.problem import Problem, part
+from hybrid.regression.chunk import Chunk, chunks_along
+from hybrid.regression.problem import Problem
 from hybrid.signals import Motion, Sampler
 
-_CHUNK = 16384  # samples processed at a time, at full rate
 _MOST_BLOCKS = 96
 _BLOCK_SECONDS = 0.25  # shortest block
-_GRADIENT_MARGIN = 16  # samples that numerical derivatives need on both sides
-
-# Index of the first decimated sample, decimated rows (P, M), and rows at full rate.
-Chunks = Iterator[tuple[int, Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -191,6 +187,7 @@ def accumulate(
     standing: Array,
     folds: Sequence[NDArray[np.intp]] | None = None,
     blocks: Sequence[NDArray[np.intp]] | None = None,
+    chunks: Sequence[Iterable[Chunk]] | None = None,
 ) -> CrossProducts:
     """Sums of products of rows along motions, columns and torque filtered identically.
 
@@ -205,6 +202,7 @@ def accumulate(
         folds: Fold of every sample, shape (N,) for each motion.
         blocks: Scoring block of every sample, shape (N,) for each motion; each block
             lies in one fold.
+        chunks: Chunks of each motion, if they were cut before.
 
     Returns:
         Sums in about 100 blocks at most.
@@ -223,7 +221,8 @@ def accumulate(
         length = max(1, round(block_seconds * motion.rate / sampler.factor))
         fold = folds[r] if folds else np.zeros(len(motion.t), dtype=np.intp)
         moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T
-        for first, D, raw in chunks_along(problem, motion, sampler):
+        for chunk in chunks[r] if chunks else chunks_along(motion, sampler):
+            first, (D, raw) = chunk.first, chunk.rows(problem)
             here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
             if scores and blocks:
                 scores.add(blocks[r][here], raw, moves[:, here])
@@ -245,27 +244,6 @@ def accumulate(
     recording, _, block_fold = np.array(keys).T
     products, counts = map(np.array, zip(*(found[k] for k in keys), strict=True))
     return CrossProducts(problem, products, counts, recording, block_fold, scores)
-
-
-def chunks_along(problem: Problem, motion: Motion, sampler: Sampler) -> Chunks:
-    """Evaluate rows along a motion, filter and decimate them, one chunk at a time.
-
-    Chunks overlap by the length of the filter, so the result does not depend on them.
-
-    Yields:
-        Index of the first decimated sample, the decimated rows, shape (P, M), and the
-        rows at full rate, shape (P, samples).
-    """
-    factor, total = sampler.factor, len(motion.t)
-    margin = -(-max(sampler.margin, _GRADIENT_MARGIN) // factor) * factor
-    chunk = max(_CHUNK, 4 * margin) // factor * factor
-    for start in range(0, total, chunk):
-        before, stop = max(0, start - margin), min(total, start + chunk)
-        full = problem.rows(part(motion, slice(before, min(total, stop + margin))))
-        D = sampler(full, axis=1)
-        skip, count = (start - before) // factor, -(-(stop - start) // factor)
-        raw = full[:, start - before : stop - before]
-        yield start // factor, D[:, skip : skip + count], raw
 
 
 def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:

@@ -3,8 +3,6 @@
 Source: Cameron and Miller 2015, doi 10.3368/jhr.50.2.317 (cluster-robust inference).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

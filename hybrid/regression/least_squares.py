@@ -4,8 +4,6 @@ Source: Zellner 1962, doi 10.1080/01621459.1962.10480664 (full covariance across
 equations).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -19,7 +19,7 @@ from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
     effect_gains,
-    regressor,
+    regressor_law,
     rich_motion,
     stacked_base,
     stacked_columns,
@@ -98,26 +98,42 @@ class Problem:
         """First row of each joint in :meth:`rows`, then the number of rows P."""
         return (0, *np.cumsum([len(x) + 1 for x in self.support]).tolist())
 
-    def rows(self, motion: Motion) -> Array:
-        """Columns of each joint by its :attr:`support`, then its torque, (P, N)."""
+    @cached_property
+    def link_rows(self) -> NDArray[np.bool_]:
+        """Which :meth:`rows` are columns of links, shape (P,)."""
+        links = len(self.rigid)
+        return np.concatenate([np.append(x, links) < links for x in self.support])
+
+    @cached_property
+    def link_entries(self) -> tuple[int, ...]:
+        """Those rows as entries of the flattened (n, 10n) regressor."""
+        kept, size = np.array(self.base.kept)[self.rigid], 10 * self.chain.size
+        each = [x[x < len(kept)] for x in self.support]
+        return tuple(size * i + int(k) for i, x in enumerate(each) for k in kept[x])
+
+    def link_columns(self, motion: Motion) -> Array:
+        """Those rows along a motion, shape (their number, N)."""
+        law = regressor_law(self.chain, self.link_entries)
+        return law.rows((motion.q, motion.v, motion.a))
+
+    def rows(self, motion: Motion, links: Array | None = None) -> Array:
+        """Columns of each joint by its :attr:`support`, then its torque, (P, N).
+
+        The result of :meth:`link_columns` is used if it is given.
+        """
         tau, body = motion.tau, RigidBody(self.chain, motion, self.inertial)
         for effect in self.effects:
             if effect.observes:
                 motion = effect.observe(motion, body)
                 body = RigidBody(self.chain, motion, self.inertial)
-        used = [self.base.kept[u] for u in self.rigid]
-        Y = regressor(self.chain, motion.q, motion.v, motion.a, used)
-        links = Y.transpose(1, 2, 0)
         columns = [effect.columns(motion, body) for effect in self.effects]
         reached = [list(effect.reaches(self.chain.size)) for effect in self.effects]
         out = np.empty((self.offsets[-1], len(motion.t)))
+        out[self.link_rows] = self.link_columns(motion) if links is None else links
         for i, (first, stop) in enumerate(pairwise(self.offsets)):
-            own, support = out[first : stop - 1], self.support[i]
-            rigid = np.intersect1d(support, self.rigid)
-            # mode="raise" would copy these rows twice.
-            np.take(links[i], rigid, axis=0, out=own[: len(rigid)], mode="clip")
-            gains = [x for x in self.gains if x[0] in support]
-            for row, (_, e, g) in zip(own[len(rigid) :], gains, strict=True):
+            own = out[first : stop - 1]
+            gains = [x for x in self.gains if x[0] in self.support[i]]
+            for row, (_, e, g) in zip(own[len(own) - len(gains) :], gains, strict=True):
                 row[:] = columns[e][:, reached[e].index(i), g]
             for effect in self.effects:
                 if effect.reports and i in effect.joints:

@@ -1,7 +1,5 @@
 """Read the actuators of a MuJoCo model: drives, servos, ripple and friction."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The kinematic chain as constant arrays, for batched dynamics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ count elements, times the copies that ``replicate`` and others make of them, and
 numbers that textures, height fields and user data need.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Find robot files by name, in this package and other installed packages."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Mapping

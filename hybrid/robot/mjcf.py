@@ -4,8 +4,6 @@ MuJoCo itself compiles the file, so that defaults, includes, angle units and ine
 from geometry are exactly those of MuJoCo.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

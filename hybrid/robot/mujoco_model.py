@@ -1,7 +1,5 @@
 """Compile a file by MuJoCo, also if meshes and pictures are missing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Read a robot from a file, a name, or a model of another library."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Rotations and inertias of rigid bodies, for readers and writers of robot files."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hybrid.arrays import Array

@@ -1,7 +1,5 @@
 """The tree of a robot file: frames, joints and bodies, the same for all formats."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

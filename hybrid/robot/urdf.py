@@ -6,8 +6,6 @@ inertia and acceleration limits from Drake (``drake:rotor_inertia`` and
 limit), springs from Gazebo (``springStiffness`` and ``springReference``).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

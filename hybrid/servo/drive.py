@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.effects.gravity_tilt import GravityTilt
 from hybrid.errors import RobotError
+from hybrid.plant.noise import rated_torque
 from hybrid.robot import Robot
 
 _FAR = 20.0  # logarithm of a value in SI units that no servo reaches
@@ -176,7 +177,7 @@ class Drive:
     def declared(cls, robot: Robot) -> Drive:
         """The servos of a robot file, with usual values where it states none."""
         n = robot.size
-        stall = np.where(np.isfinite(robot.tau_max), robot.tau_max, _usual(robot))
+        stall = rated_torque(robot)
         gain = np.where(np.isfinite(robot.kp), robot.kp, stall / 0.1)
         servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
         little = _LITTLE * stall
@@ -247,12 +248,3 @@ def centres(robot: Robot) -> Array:
     """Centre of mass of every link in its frame, shape (n, 3), [m]."""
     inertial = robot.chain.inertial
     return np.asarray(inertial[:, 1:4] / np.maximum(inertial[:, :1], 1e-12))
-
-
-def _usual(robot: Robot) -> Array:
-    """Three times the largest possible gravity torque, shape (n,), [N·m]."""
-    chain = robot.chain
-    reach = np.linalg.norm(chain.translation, axis=1)
-    beyond = np.cumsum(reach[::-1])[::-1] + 0.1
-    mass = np.cumsum(chain.inertial[::-1, 0])[::-1]
-    return np.maximum(3.0 * 9.81 * mass * beyond, 0.1)

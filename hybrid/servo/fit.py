@@ -5,8 +5,6 @@ the file is wrong with probability 1/(1 + e^−l), where l is the evidence lost 
 back to the file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

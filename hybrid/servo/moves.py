@@ -4,8 +4,6 @@ Each parameter is changed once. Replay errors are assumed to change linearly bet
 two replays, and the other parameters of the joint are adapted by linear least squares.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ Evidence is computed on the parts of the logs that are fitted. No step may make 
 parts set aside less probable than the best explanation so far does.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The result of a fit of servos: parameters, findings and replay errors."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

@@ -8,8 +8,6 @@ which is linear in (1, b, F_c, J, const)/k, with gravity g by the masses of the 
 delay of the command looks like damping here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Write the servos found into the user's own simulator file."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

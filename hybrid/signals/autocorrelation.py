@@ -1,7 +1,5 @@
 """Estimate how many successive samples of a residual count as one independent one."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

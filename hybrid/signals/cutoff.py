@@ -1,7 +1,5 @@
 """Choose the cut-off between motion and noise from the spectrum of positions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hybrid.arrays import Array

@@ -1,7 +1,5 @@
 """Turn a recording into a motion: filter and differentiate positions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +15,7 @@ from hybrid.signals.filters import (
     filter_reach,
     passes_all,
 )
-from hybrid.signals.speed import SpeedCheck, correction_by_speed
+from hybrid.signals.speed import correction_by_speed
 
 
 @dataclass(frozen=True)
@@ -62,10 +60,7 @@ class Motion:
 
 
 def motion_from_recording(
-    recording: Recording,
-    *,
-    cutoff: float | None = None,
-    speed: SpeedCheck | None = None,
+    recording: Recording, *, cutoff: float | None = None
 ) -> Motion:
     """Filter and differentiate positions; torque stays as measured.
 
@@ -77,7 +72,6 @@ def motion_from_recording(
         recording: Joint log; an irregular clock is made uniform first, with a warning.
         cutoff: Cut-off of the position filter, [Hz]; inf for none; by default
             :func:`choose_cutoff` chooses it.
-        speed: Check of the measured speed, if it was made before.
 
     Returns:
         The motion at the full rate. Its mask excludes samples at both edges, where
@@ -92,7 +86,7 @@ def motion_from_recording(
     mask = np.zeros(len(recording.t), dtype=bool)
     mask[edge:-edge] = True
     q = butterworth(recording.q, rate=rate, cutoff=cutoff)
-    q = q + correction_by_speed(recording, cutoff=cutoff, mask=mask, check=speed)
+    q = q + correction_by_speed(recording, cutoff=cutoff, mask=mask)
     v = central_difference(q, rate=rate)
     a = central_difference(v, rate=rate)
     return Motion(

@@ -12,8 +12,6 @@ speed and position beyond N_q. A speed that is filtered or wrong therefore has n
 at the frequencies where it differs from positions.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

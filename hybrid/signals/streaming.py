@@ -1,7 +1,5 @@
 """Filter a stream block by block: derivatives by time stamp, and a low-pass filter."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.explanations.explanation import Explanation
-from hybrid.diagnosis.gap.faults import stretches
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.effects import Effect
+from hybrid.inspect.stuck import stretches
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.regression.problem import part
 from hybrid.robot import Robot

@@ -1,7 +1,5 @@
 """Log Bayes factors of a few columns, with Gaussian priors of their gains."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hybrid.arrays import Array

@@ -1,7 +1,5 @@
 """The candidates: every effect, at every joint, on a grid of its shapes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product

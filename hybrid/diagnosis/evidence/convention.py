@@ -9,8 +9,6 @@ by another time, as if stamped by another clock, is corrected as well, and is re
 as a cause.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial

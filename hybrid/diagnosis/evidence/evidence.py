@@ -7,8 +7,6 @@ are integrated out.
 Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam factor).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Columns of one joint, with their cross-products."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs with the errors of their logger corrected, and their gap."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

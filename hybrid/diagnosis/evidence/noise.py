@@ -8,8 +8,6 @@ A residual with holes is given by its values ``x`` and their positions in time `
 shape (R,) each, its ``rate``, and the ``cutoff`` of its band, both in [Hz].
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse

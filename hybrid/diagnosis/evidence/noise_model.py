@@ -4,8 +4,6 @@ It is estimated by the residual of a flexible regression on held-out samples, or
 explanation where that is smaller.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve

@@ -1,7 +1,5 @@
 """The pool of all candidates, with their columns."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 import numpy as np

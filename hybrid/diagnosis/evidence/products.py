@@ -1,7 +1,5 @@
 """Cross-products of the gap and the columns that might explain it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np

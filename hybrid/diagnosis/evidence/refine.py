@@ -1,7 +1,5 @@
 """Fit of the shapes of a candidate, and of gains in which it is not linear."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

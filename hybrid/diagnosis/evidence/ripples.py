@@ -1,7 +1,5 @@
 """Orders of torque ripple in a residual, from its spectrum over position."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,6 @@
 A shape is searched in normalised form, 0 to 1 over its range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The explained and the unexplained part of the gap, by joint."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A cause in an explanation: an effect of the library, or an unknown law."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from hybrid.arrays import Index

@@ -1,7 +1,5 @@
 """Unknown laws of a joint's torque: smooth functions of signals."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Single steps of a search: a cause is added, exchanged or removed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

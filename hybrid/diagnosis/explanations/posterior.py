@@ -12,8 +12,6 @@ smaller, plus the errors of laws and simulators.
 Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam factor).
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial

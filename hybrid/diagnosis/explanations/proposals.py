@@ -1,7 +1,5 @@
 """Causes that may be added to an explanation, with their gain in score."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass

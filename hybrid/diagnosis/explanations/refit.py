@@ -1,7 +1,5 @@
 """The reported values of effects, with their standard deviations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

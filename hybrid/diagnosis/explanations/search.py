@@ -5,8 +5,6 @@ step must lower the cross-validated loss as well, and each cause of the result t
 on test samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Fit of a servo law: its gains, its latency, and the delay of the logged torque."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

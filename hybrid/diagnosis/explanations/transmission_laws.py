@@ -6,8 +6,6 @@ the motion, and changes the torque of all drives that move the link,
     δτ = ∂τ/∂q φ + ∂τ/∂v dφ/dt + ∂τ/∂a d²φ/dt².
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Unknown laws as causes: their columns and priors."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 

@@ -4,18 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects, label
 
 from hybrid.arrays import Array
 from hybrid.inspect.samples import large_step
+from hybrid.inspect.stuck import fewest_repeats, repeats, stretches, stuck_torque
 from hybrid.recording import Recording
 
-_LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
-_FEWEST = 10  # samples of a frozen channel
-_SHARE = 0.01  # of a log, at its extreme value: a peak is a sample or two
-_COARSE = 0.1  # distinct values per sample of a torque that was quantised coarsely
-_UNUSUAL = 3.0  # times the third longest run of equal values
-_ALONE = 5.0  # times the samples of the next level
 _JUMP = 5.0  # times the usual step
 _LEAP = 0.25  # of the range of torque, from one sample to the next
 _IMPACT = 3.0  # times a large step of speed
@@ -41,19 +35,15 @@ class Faults:
 def find_faults(recording: Recording) -> Faults:
     """Find samples where a channel repeats a value while the arm moves, or jumps."""
     q, tau, t = recording.q, recording.tau, recording.t
-    least = max(_FEWEST, round(_LONGEST_REPEAT / float(np.median(np.diff(t)))))
     notes = []
     posture, torque = np.zeros(len(t), dtype=bool), np.zeros(tau.shape, dtype=bool)
     for j, name in enumerate(recording.joints):
-        frozen = _frozen(q[:, j], least)
+        frozen = _frozen(q[:, j], fewest_repeats(t))
         if frozen.any():
             posture |= frozen
             notes.append(f"position of {name} is frozen for {frozen.mean():.0%}")
-        coarse = len(np.unique(tau[:, j])) < _COARSE * len(t)
-        longest = max(5 * least, _usual_run(tau[:, j])) if coarse else least
-        stuck = _moving(q, _runs(tau[:, j], longest))
-        clipped = _clipped(tau[:, j], coarse)
-        for bad, word in ((stuck & ~clipped, "frozen"), (clipped, "saturated")):
+        stuck = stuck_torque(t, q, tau[:, j])
+        for bad, word in zip(stuck, ("frozen", "saturated"), strict=True):
             if bad.any():
                 torque[:, j] |= bad
                 notes.append(f"torque of {name} is {word} for {bad.mean():.0%}")
@@ -99,39 +89,9 @@ def _leaps(t: Array, q: Array, tau: Array) -> NDArray[np.bool_]:
     return beside
 
 
-def _usual_run(x: Array) -> int:
-    """Length from which on a run of equal values of a coarse sensor is unusual.
-
-    It is a multiple of the third longest run, as the sensor may have frozen twice.
-    """
-    lengths = np.diff(np.flatnonzero(np.diff(x)), prepend=-1)
-    return int(_UNUSUAL * np.sort(lengths)[-3]) if len(lengths) > 2 else 0
-
-
-def stretches(flags: NDArray[np.bool_]) -> list[slice]:
-    """Runs of consecutive samples whose flags are set."""
-    return [run for (run,) in find_objects(label(flags)[0])]
-
-
-def _runs(x: Array, least: int) -> NDArray[np.bool_]:
-    """Samples in runs of equal values with at least a given length."""
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
-    lengths = np.diff(starts)
-    return np.repeat(lengths >= least, lengths)
-
-
-def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Runs during which the arm moves."""
-    moved = np.any(np.diff(q, axis=0, prepend=q[:1]) != 0, axis=1)
-    kept = np.zeros_like(runs)
-    for run in stretches(runs):
-        kept[run] = moved[run].mean() > 0.5
-    return kept
-
-
 def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
     """Samples in runs of one position that begin or end with a jump."""
-    runs, steps, usual = _runs(q, least), np.abs(np.diff(q)), large_step(q)
+    runs, steps, usual = repeats(q, least), np.abs(np.diff(q)), large_step(q)
     frozen = np.zeros_like(runs)
     for run in stretches(runs):
         ends = steps[[k for k in (run.start - 1, run.stop - 1) if 0 <= k < len(steps)]]
@@ -139,19 +99,3 @@ def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
         sudden = before.size > 0 and before.min() > 0.1 * usual
         frozen[run] = sudden or np.any(ends > _JUMP * usual)
     return frozen
-
-
-def _clipped(x: Array, coarse: bool) -> NDArray[np.bool_]:
-    """Samples at an extreme value that is held repeatedly.
-
-    A coarse sensor holds every level: there the extreme one must be much more frequent.
-    """
-    clipped = np.zeros(len(x), dtype=bool)
-    levels, counts = np.unique(x, return_counts=True)
-    for end, beside in ((0, 1), (-1, -2)) if len(levels) > 1 else ():
-        at = x == levels[end]
-        again = (at[1:] & at[:-1]).sum() > 0.5 * at.sum()
-        alone = not coarse or counts[end] > _ALONE * counts[beside]
-        if at.mean() > _SHARE and again and alone:
-            clipped |= at
-    return clipped

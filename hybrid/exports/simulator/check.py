@@ -1,7 +1,5 @@
 """Compare the torque of a simulator's file with recordings."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -8,8 +8,6 @@ knee·clip(v/w) replaces dry friction and fall·exp(−(v/u)²)·sgn v is added,
 and u of the least residual.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain

@@ -1,7 +1,5 @@
 """Turn an identified model into a simulator, and the remaining effects into a model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Decide how a kind of file expresses effects: exactly, approximately, or not."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,8 +25,8 @@ from hybrid.plant.joint_fields import (
     effects_of_fields,
     fall,
     knee,
+    soft_springs,
     split_effects,
-    springs,
     with_curves,
 )
 from hybrid.robot import Robot
@@ -153,7 +151,7 @@ def _with_fields(
     if preload is not None:
         before = -robot.stiffness * robot.springref
         kept = (own["stiffness"] == robot.stiffness) & (preload == before)
-        both = springs({"stiffness": own["stiffness"], "preload": preload})
+        both = soft_springs(own["stiffness"], preload)
         own["stiffness"] = np.where(kept, robot.stiffness, both[0])
         own["springref"] = np.where(kept, robot.springref, both[1])
     falling = [

@@ -1,7 +1,5 @@
 """Draw models from the posterior of an identified one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +10,7 @@ from hybrid.dynamics.pseudo_inertia import (
     nominal_bodies,
     pseudo_inertia,
 )
+from hybrid.dynamics.stacked import gain_labels
 from hybrid.effects import Effect
 from hybrid.errors import HybridError
 from hybrid.model.dynamic_model import DynamicModel
@@ -80,14 +79,13 @@ def _changed(
     gains: dict[str, float],
     rng: np.random.Generator,
 ) -> Effect:
-    joints = "+".join(model.robot.joints[j] for j in effect.joints)
-    least = dict(zip((g.name for g in effect.gains), effect.least_gains, strict=True))
+    labels = gain_labels(model.robot.joints, model.effects, effect)
     values = {}
-    for name, low in least.items():
-        label = f"{effect.id}.{name}[{joints}]"
-        change = gains.get(label, effect.std.get(name, 0.0) * rng.standard_normal())
+    for gain, low, label in zip(effect.gains, effect.least_gains, labels, strict=True):
+        alone = effect.std.get(gain.name, 0.0) * rng.standard_normal()
+        change = gains.get(label, alone)
         if change:
-            values[name] = max(effect.values[name] + change, min(low, 0.0))
+            values[gain.name] = max(effect.values[gain.name] + change, min(low, 0.0))
     return effect.at(values)
 
 

@@ -1,7 +1,5 @@
 """Intervals of a simulator's parameters, for domain randomisation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +13,7 @@ from hybrid.robot import Robot
 from hybrid.robot.chain import INERTIAL_NAMES, INERTIAL_UNITS
 
 _LEVEL = 0.95
+_ROUNDING = 1e-9  # of the largest number of that unit: less variation is none
 _UNITS = {
     "armature": "kg·m²", "damping": "N·m·s/rad", "quadratic": "N·m·s²/rad²",
     "cubic": "N·m·s³/rad³", "frictionloss": "N·m", "stiffness": "N·m/rad",
@@ -92,16 +91,19 @@ def ranges(
     values = np.array(
         [list(_numbers(fields_of_model(x, motions, kind)).values()) for x in drawn]
     )
-    varies = np.ptp(values, axis=0) > 0
+    links = dict(zip(INERTIAL_NAMES, INERTIAL_UNITS, strict=True))
+    every = np.array([{**_UNITS, **links}[name] for _, name in nominal])
+    highest = np.abs(values).max(axis=0)
+    size = np.array([highest[every == unit].max() for unit in every])
+    varies = np.ptp(values, axis=0) > _ROUNDING * size
     keys = [key for key, own in zip(nominal, varies, strict=True) if own]
     values = values[:, varies]
     tail = 100 * (1 - _LEVEL) / 2
     low, high = np.percentile(values, [tail, 100 - tail], axis=0)
-    links = dict(zip(INERTIAL_NAMES, INERTIAL_UNITS, strict=True))
     return Ranges(
         joints=model.robot.joints,
         keys=tuple(keys),
-        units=tuple({**_UNITS, **links}[name] for _, name in keys),
+        units=tuple(every[varies].tolist()),
         nominal=np.array([nominal[key] for key in keys]),
         low=low,
         high=high,

@@ -5,8 +5,6 @@ friction is approximated. The remaining effects are listed;
 :func:`hybrid.plant.install.install` or exported C can add them.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Names of joints appear as literals only.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Readers of file formats, one module each: they turn a path into tables."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 

@@ -5,8 +5,6 @@ code. Messages of the same length, list lengths and texts have the same layout, 
 thousands are decoded at once.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Read recordings from text files with comma, semicolon or tab, in UTF-8."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import re

@@ -1,7 +1,5 @@
 """Turn the fields of a file into columns: a matrix has one column for each joint."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Read tables in memory: of pandas, polars and pyarrow, or a dict of arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Read HDF5 files: one recording, or one in each group (robomimic's demos)."""
 
-from __future__ import annotations
-
 import json
 import mmap
 import re

@@ -4,8 +4,6 @@ Each episode is a recording. Joint names are in ``info.json``. Datasets state no
 and have torques only if the robot recorded them.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

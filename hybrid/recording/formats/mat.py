@@ -1,7 +1,5 @@
 """Read MATLAB files: version 5 by SciPy, version 7.3 by h5py."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

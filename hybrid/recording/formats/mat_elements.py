@@ -6,8 +6,6 @@ its class needs. A damaged file therefore crashes the process (SciPy 1.17).
 Source: MathWorks, MAT-File Format, "Level 5 MAT-File Format".
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Read recordings from NumPy archives."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Iterable

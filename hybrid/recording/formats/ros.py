@@ -5,8 +5,6 @@ a list of names, labels use them: ``/joint_states/position/elbow``. Time is that
 header, or that of the recorder if headers have none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

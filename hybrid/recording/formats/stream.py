@@ -1,7 +1,5 @@
 """Collect messages with the same columns in blocks that can be taken once."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -49,7 +47,7 @@ class Stream:
         self._close()
         stamps, self._stamps = np.concatenate(self._stamps), []
         times, self._times = self._times, []
-        own = bool((stamps[1:] > stamps[:-1]).all())
+        own = bool(stamps.any() and (stamps[1:] > stamps[:-1]).all())
         return (stamps if own else np.concatenate(times)), own
 
     def take(

@@ -1,7 +1,5 @@
 """Decode the messages of one topic of a bag into columns, many at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from typing import Any

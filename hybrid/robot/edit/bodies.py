@@ -1,7 +1,5 @@
 """New parameters for the bodies of a robot file that together form a link."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

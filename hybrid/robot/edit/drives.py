@@ -1,7 +1,5 @@
 """Edit the actuators of an MJCF file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Write friction and ripple that MJCF has no joint attribute for."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 The parsers of MuJoCo and URDF accept what is not valid; so does this one.
 """
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Edit numbers in an arm's MJCF file; all other bytes stay unchanged."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

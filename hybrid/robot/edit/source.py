@@ -1,7 +1,5 @@
 """Choose the document to edit: the arm's own file, or one made from the arm."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Edit numbers in an arm's URDF file; all other bytes stay unchanged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

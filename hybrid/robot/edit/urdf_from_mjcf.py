@@ -1,7 +1,5 @@
 """Convert MJCF to URDF: the whole tree, with the shapes that URDF can express."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
