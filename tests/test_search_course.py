@@ -87,6 +87,9 @@ class Course(Search):
     def unseen_loss(self, causes):
         return np.array(self.answers.get("loss", {}).get(named(causes), (0.0, 0.0)))
 
+    def held_out_loss(self, causes):
+        return np.array(self.answers.get("held out", {}).get(named(causes), (5.0, 5.0)))
+
     def _remove(self):
         self._do("remove")
 
@@ -184,12 +187,18 @@ def test_a_search_of_few_known_causes_is_done_and_others_start_anew():
 
 
 @pytest.mark.parametrize(
-    ("fresh", "error", "kept"),
-    [(11.0, 0.02, "b"), (9.0, 0.02, "a"), (30.0, 0.2, "b"), (24.0, 0.2, "a")],
-)
-def test_the_more_probable_of_two_courses_is_kept(fresh, error, kept):
+    ("fresh", "error", "loss", "kept"),
+    [
+        (11.0, 0.02, (5.0, 5.0), "b"), (9.0, 0.02, (4.0, 4.0), "a"),
+        (30.0, 0.2, (4.0, 5.0), "b"), (24.0, 0.2, (4.0, 4.0), "a"),
+        (30.0, 0.02, (4.0, 6.0), "a"), (30.0, 0.02, (6.0, 4.0), "a"),
+    ],
+)  # fmt: skip
+def test_the_more_probable_of_two_courses_is_kept_if_it_foretells(
+    fresh, error, loss, kept
+):
     """An error of the file of a fifth costs fifteen nats here."""
-    at = Course([A], score={"a": 10.0, "b": fresh})
+    at = Course([A], score={"a": 10.0, "b": fresh}, **{"held out": {"b": loss}})
     at.file_error_odds = lambda x: 15.0 * (x > 0.02)
     at.set_file_error = lambda x: setattr(at, "file_error", x)
     modes = []
@@ -204,7 +213,8 @@ def test_the_more_probable_of_two_courses_is_kept(fresh, error, kept):
     assert named(at.causes) == kept and modes == [True, False]
     assert at.refused == frozenset() and at.library_only is False
     assert at.file_error == (0.02 if kept == "a" else error)
-    assert at.did == ["fit", "noise", "remove", "prior 0.02", f"prior {at.file_error}"]
+    courses = [f"prior {x}" for x in (error, 0.02, at.file_error)]
+    assert at.did == ["fit", "noise", "remove", *courses]
 
 
 def test_unknown_laws_give_way_to_effects_that_help_unseen():
@@ -289,6 +299,7 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     at.unseen_loss = lambda causes: np.array(losses[named(causes)])
     at._simpler = lambda c, rest: [cause("x")] if c is A else []
     at.test = SimpleNamespace(tests=lambda c, causes: True)
+    at._fall_by_chance = lambda rest, causes: 0.0
     assert at.unseen_gain([A]) == {A: 0.5} and at.unseen_gain([]) == {}
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
     at.test.tests = lambda c, causes: False
@@ -300,6 +311,23 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     at.explains_its_time = lambda c, causes: c is push
     at.test.tests = lambda c, causes: True
     assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
+    chance = {"b": 1.0, "bx": 0.0, "a": 4.5}
+    at._fall_by_chance = lambda rest, causes: chance[named(rest)]
+    assert at.unseen_gain([A, B]) == {A: 2.0, B: -0.5}
+
+
+def test_what_falls_where_much_is_left_is_by_chance():
+    """Of a second that keeps four times the usual squares, three quarters are."""
+    seconds = {"": [[3.0, 5.0, 9.0], [0.0, 0.0, 0.0]]}
+    seconds |= {"a": [[1.0, 1.0, 4.0], [0.0, 0.0, 0.0]]}
+    at = Losses(count=np.array([20]))
+    at.__dict__["test"] = SimpleNamespace(
+        second_squares=lambda causes: np.array(seconds[named(causes)]),
+        evidence=SimpleNamespace(count=np.array([10])),
+    )
+    assert at._fall_by_chance([], [A]) == pytest.approx(0.75 * (9.0 - 4.0))
+    seconds["a"][0][2] = 1.0  # nothing unusual is left
+    assert at._fall_by_chance([], [A]) == 0.0
 
 
 def test_the_simpler_law_of_a_cause_is_made_once_unless_it_is_there():
