@@ -149,7 +149,7 @@ def changes(
         x: Covariate on which the values may depend, shape (N,), or None.
     """
     # The limit of the same probability for scores with an estimated variance.
-    limit = -float(stdtrit(max(degrees, 1.0), ndtr(-limit)))
+    limit = -float(stdtrit(max(degrees, 1.0), float(ndtr(-limit))))
     start = 0
     while True:
         alarm = _first_alarm(t, y, s, limit, x, start)

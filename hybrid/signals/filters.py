@@ -201,13 +201,21 @@ def _filtered(x: Array, rate: float, cutoff: float, axis: int, factor: int) -> A
     signals = np.ascontiguousarray(x).reshape(-1, samples)
     out = np.empty((len(signals), kept))
     for i in range(0, len(signals), _BLOCK):
-        block, ends = signals[i : i + _BLOCK], ((0, 0), (pad, pad))
-        spectrum = rfft(np.pad(block, ends, "reflect", reflect_type="odd"), size)
+        spectrum = rfft(_continued(signals[i : i + _BLOCK], pad), size)
         spectrum *= gain
         spectrum = _aliased(spectrum, size, factor)
         out[i : i + _BLOCK] = irfft(spectrum, decimated)[:, pad // factor :][:, :kept]
     out = out.reshape(*x.shape[:-1], kept)
     return np.ascontiguousarray(out.transpose(back))
+
+
+def _continued(x: Array, pad: int) -> Array:
+    """Signals, shape (k, N), with samples by point reflection at both ends."""
+    if x.shape[1] <= pad:
+        return np.pad(x, ((0, 0), (pad, pad)), "reflect", reflect_type="odd")
+    before = 2 * x[:, :1] - x[:, pad:0:-1]
+    after = 2 * x[:, -1:] - x[:, -2 : -pad - 2 : -1]
+    return np.concatenate([before, x, after], axis=1)  # np.pad takes twice as long
 
 
 def _nonzero_range(x: Array, pad: int, factor: int) -> tuple[int, int]:
