@@ -10,8 +10,7 @@ Hadi 1992, doi 10.1111/j.2517-6161.1992.tb01449.x).
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
-from scipy.stats import f as fisher
+from scipy.special import betainccinv, fdtri
 
 from hybrid.arrays import Array
 
@@ -42,6 +41,6 @@ def misfit(
     along = np.einsum("uij,ui->uj", axes, residual) ** 2
     square = (along / np.maximum(free, _SINGULAR)).sum(axis=1)
     rest = max(freedom - size, 1.0)
-    inner = freedom * float(beta.isf(OUTSIDE, size / 2, rest / 2))
-    outer = size * float(fisher.isf(OUTSIDE, size, max(freedom, 1.0)))
+    inner = freedom * float(betainccinv(size / 2, rest / 2, OUTSIDE))
+    outer = size * float(fdtri(size, max(freedom, 1.0), 1 - OUTSIDE))
     return np.asarray(np.sqrt(square / np.where(kept, inner, outer)))

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from hybrid.arrays import Array
 from hybrid.calibration.covariance import clustered_covariance
@@ -76,7 +76,7 @@ class KinematicSolution:
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Confidence limits of the estimates, shape (b,) each."""
-        half = student.ppf((1 + level) / 2, self.degrees) * self.std
+        half = stdtrit(self.degrees, (1 + level) / 2) * self.std
         return self.x - half, self.x + half
 
     def values(self) -> dict[str, float]:

@@ -13,8 +13,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtr, stdtrit
 
 from hybrid.arrays import Array
 
@@ -150,7 +149,7 @@ def changes(
         x: Covariate on which the values may depend, shape (N,), or None.
     """
     # The limit of the same probability for scores with an estimated variance.
-    limit = float(student.isf(norm.sf(limit), max(degrees, 1.0)))
+    limit = -float(stdtrit(max(degrees, 1.0), float(ndtr(-limit))))
     start = 0
     while True:
         alarm = _first_alarm(t, y, s, limit, x, start)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from hybrid.arrays import Array
 
@@ -62,7 +62,7 @@ def _p_value(y: Array, s: Array, rest: NDArray[np.intp], k: int) -> float:
     others = rest[rest != k]
     mean, spread, error = _mean_and_spread(y[others], s[others])
     distance = abs(y[k] - mean) / np.hypot(np.hypot(spread, error), s[k])
-    return float(2 * student.sf(distance, max(len(others) - 1, 1)))
+    return float(2 * stdtr(max(len(others) - 1, 1), -distance))
 
 
 def _mean_and_spread(y: Array, s: Array) -> tuple[float, float, float]:

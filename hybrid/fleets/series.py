@@ -13,7 +13,6 @@ from datetime import date
 from typing import Any
 
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from hybrid.arrays import Array
 from hybrid.fleets.changes import MONTH, Change, Level, changes, crossing, level
@@ -124,6 +123,8 @@ class Series:
             )
 
     def _remove_slope(self, name: str) -> None:
+        from scipy.stats import median_abs_deviation
+
         seen = np.isfinite(self.x[name])
         x = self.x[name] - (self.x[name][seen].mean() if seen.any() else 0.0)
         slopes = []
@@ -187,6 +188,8 @@ class Series:
 
     def _confounded(self, k: int, own: Sequence[Change]) -> str:
         """Other explanations of an arm's changes, in words."""
+        from scipy.stats import median_abs_deviation
+
         if not own:
             return ""
         found = []

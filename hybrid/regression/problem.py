@@ -129,11 +129,13 @@ class Problem:
         columns = [effect.columns(motion, body) for effect in self.effects]
         reached = [list(effect.reaches(self.chain.size)) for effect in self.effects]
         out = np.empty((self.offsets[-1], len(motion.t)))
-        out[self.link_rows] = self.link_columns(motion) if links is None else links
+        links = self.link_columns(motion) if links is None else links
         for i, (first, stop) in enumerate(pairwise(self.offsets)):
             own = out[first : stop - 1]
             gains = [x for x in self.gains if x[0] in self.support[i]]
-            for row, (_, e, g) in zip(own[len(own) - len(gains) :], gains, strict=True):
+            count = len(own) - len(gains)
+            own[:count], links = links[:count], links[count:]
+            for row, (_, e, g) in zip(own[count:], gains, strict=True):
                 row[:] = columns[e][:, reached[e].index(i), g]
             for effect in self.effects:
                 if effect.reports and i in effect.joints:

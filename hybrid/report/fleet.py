@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
-from scipy.stats import median_abs_deviation
 
 from hybrid.files import atomic_path
 from hybrid.fleets import Fleet, State
@@ -162,6 +161,8 @@ def arms_table(fleet: Fleet) -> Table:
 
 def heat_figure(fleet: Fleet) -> Figure:
     """Draw the deviation of each arm from the median arm; dots are changes."""
+    from scipy.stats import median_abs_deviation
+
     columns = list(dict.fromkeys((x.joint, x.parameter) for x in fleet.states))
     arms = list(_ranked(fleet))[:_MOST_ROWS]
     values = np.full((len(arms), len(columns)), np.nan)

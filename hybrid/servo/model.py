@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import frames
 from hybrid.effects.backlash import Backlash, set_play
-from hybrid.plant.joint_fields import soft_springs
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive, centres
 from hybrid.servo.stretch import Stretch
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 
 # N·m/A and Ω: the constant is so small that speed does not reduce the stall torque.
 _CONSTANT, _RESISTANCE = 1e-3, 1.0
+_SOFT = 1e-6  # N·m/rad: a spring whose torque does not change with position
 _BELOW = 1e-3  # m: smallest radius of the ball about a centre of mass
 _CREEPS = 0.05  # rad/s: static friction holds slower joints
 
@@ -204,11 +204,12 @@ def stops(drive: Drive) -> Array:
 def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
     """Stiffness [N·m/rad] and relaxed position [rad] of every joint's spring, (n,).
 
-    A torque offset is a preload.
+    A torque offset is a very soft spring with a distant relaxed position, or shifts
+    that of the spring in the file.
     """
-    stiffness = robot.stiffness + drive["spring"]
+    stiffness = np.maximum(robot.stiffness, _SOFT) + drive["spring"]
     relaxed = drive["sign"] * robot.springref - drive["zero"]
-    return soft_springs(stiffness, -stiffness * relaxed - drive["offset"])
+    return stiffness, relaxed + drive["offset"] / stiffness
 
 
 def weight(model: Any, data: Any, own: NDArray[np.intp], q: Array, v: Array) -> Array:

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter
 
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
@@ -129,6 +128,8 @@ class BlockLowPass:
     """
 
     def __init__(self, rate: float, cutoff: float, block: int) -> None:
+        from scipy.signal import butter
+
         (b0, b1, b2), (_, a1, a2) = butter(2, cutoff, fs=rate)
         self._settled = (b1 - a1) + (b2 - a2), b2 - a2
         first, second, *inputs = np.eye(2 + block)

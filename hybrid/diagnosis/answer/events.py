@@ -4,10 +4,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.measure import NORMAL
 from hybrid.effects import Effect
 from hybrid.effects.contact import Contact
 from hybrid.identification.preparation import STANDING
@@ -80,7 +80,7 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
         if len(rows) < _LEAST_REST * gap.rate:
             continue
         x = gap.left[rows] - np.median(gap.left[rows], axis=0)
-        noise = median_abs_deviation(x, scale="normal")
+        noise = NORMAL * np.median(np.abs(x), axis=0)
         least = np.maximum(_SIGNIFICANT * noise, _LEAST * rated)
         at = np.flatnonzero(np.any(np.abs(x) > least, axis=1))
         ends = np.flatnonzero(np.diff(rows[at]) > _PAUSE * gap.rate) + 1

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.diagnosis import Region
@@ -82,7 +82,7 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
     ranges = sum(c.excess.shape[1] * (c.excess.shape[1] + 1) // 2 for c in histograms)
     test = _Test(
         rng.multinomial(blocks, np.full(blocks, 1 / blocks), _RESAMPLES),
-        float(norm.isf(_FALSE_ALARM / ranges)),
+        -float(ndtri(_FALSE_ALARM / ranges)),
         gap.rate / (2 * _band(gap)),
     )
     if not test.exceeds(squares.sum(), visits):

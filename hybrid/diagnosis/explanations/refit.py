@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2, qmc
+from scipy.special import chdtri
 
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Candidate, with_gains
@@ -92,6 +92,8 @@ def _profile_range(
 
     Source: Venzon and Moolgavkar 1988, doi 10.2307/2347496 (profile likelihood).
     """
+    from scipy.stats import qmc
+
     gap, middle = evidence.gap, normalised_shapes(evidence.gap, c.effect)
     names, size = _names(c.effect), len(middle)
     wide = _WIDER**2 * covariance
@@ -104,7 +106,7 @@ def _profile_range(
         values = with_gains(effect, gains).values
         worth.append(found)
         off.append([values[x] - c.effect.values[x] for x in names])
-    inside = np.array(worth) > max(worth) - chi2.ppf(0.95, size) / 2
+    inside = np.array(worth) > max(worth) - chdtri(size, 0.05) / 2
     return np.asarray(np.abs(np.array(off)[inside]).max(axis=0, initial=0.0))
 
 
