@@ -298,8 +298,10 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     losses |= {"b": (4.0, 4.5), "bx": (9.0, 9.0)}
     at.unseen_loss = lambda causes: np.array(losses[named(causes)])
     at._simpler = lambda c, rest: [cause("x")] if c is A else []
-    at.test = SimpleNamespace(tests=lambda c, causes: True)
-    at._fall_by_chance = lambda rest, causes: 0.0
+    at.test = SimpleNamespace(
+        tests=lambda c, causes: True, second_squares=lambda causes: None
+    )
+    at._fall_by_chance = lambda rest, after: 0.0
     assert at.unseen_gain([A]) == {A: 0.5} and at.unseen_gain([]) == {}
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
     at.test.tests = lambda c, causes: False
@@ -312,22 +314,22 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     at.test.tests = lambda c, causes: True
     assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
     chance = {"b": 1.0, "bx": 0.0, "a": 4.5}
-    at._fall_by_chance = lambda rest, causes: chance[named(rest)]
+    at._fall_by_chance = lambda rest, after: chance[named(rest)]
     assert at.unseen_gain([A, B]) == {A: 2.0, B: -0.5}
 
 
 def test_what_falls_where_much_is_left_is_by_chance():
     """Of a second that keeps four times the usual squares, three quarters are."""
-    seconds = {"": [[3.0, 5.0, 9.0], [0.0, 0.0, 0.0]]}
-    seconds |= {"a": [[1.0, 1.0, 4.0], [0.0, 0.0, 0.0]]}
+    before = np.array([[3.0, 5.0, 9.0], [0.0, 0.0, 0.0]])
     at = Losses(count=np.array([20]))
     at.__dict__["test"] = SimpleNamespace(
-        second_squares=lambda causes: np.array(seconds[named(causes)]),
+        second_squares=lambda causes: before,
         evidence=SimpleNamespace(count=np.array([10])),
     )
-    assert at._fall_by_chance([], [A]) == pytest.approx(0.75 * (9.0 - 4.0))
-    seconds["a"][0][2] = 1.0  # nothing unusual is left
-    assert at._fall_by_chance([], [A]) == 0.0
+    after = np.array([[1.0, 1.0, 4.0], [0.0, 0.0, 0.0]])
+    assert at._fall_by_chance([], after) == pytest.approx(0.75 * (9.0 - 4.0))
+    after[0, 2] = 1.0  # nothing unusual is left
+    assert at._fall_by_chance([], after) == 0.0
 
 
 def test_the_simpler_law_of_a_cause_is_made_once_unless_it_is_there():

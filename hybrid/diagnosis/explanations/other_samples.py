@@ -81,13 +81,9 @@ class OtherSamples:
     def second_squares(self, causes: Sequence[Cause]) -> Array:
         """:meth:`squares` of each second, in units of noise, shape (n, seconds)."""
         second = np.arange(len(self.use)) // max(1, round(self._search.gap.rate))
-        noise, squares = self._search.evidence.noise, np.zeros(len(self.use))
-        found = []
-        for i, left in enumerate(self.residuals(causes)):
-            squares[:] = 0.0
-            squares[self.evidence.rows[i]] = left**2 / noise[i]
-            found.append(np.bincount(second, squares))
-        return np.array(found)
+        each = zip(self.residuals(causes), self.evidence.rows, strict=True)
+        sums = [np.bincount(second[x], y**2, second[-1] + 1) for y, x in each]
+        return np.asarray(np.array(sums) / self._search.evidence.noise[:, None])
 
     def tests(self, cause: Cause, causes: Sequence[Cause]) -> bool:
         """Whether one of some causes acts here, and not on the search's samples alone.

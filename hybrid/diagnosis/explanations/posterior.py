@@ -237,11 +237,10 @@ class Posterior:
         independent. Both are scaled to the number of training samples, and the log
         prior of the background is added.
         """
-        seen, unseen, test = self.evidence, self.test.evidence, self.test
+        seen, test = self.evidence, self.test
         losses = test.weighted_squares(causes), test.squares(causes) / seen.noise
-        scale = seen.count.sum() / max(unseen.count.sum(), 1)
         prior = seen.prior_squares(seen.solve(self.columns(causes)), self.rigid)
-        return np.asarray((np.sum(losses, axis=1) * scale + prior) / 2)
+        return np.asarray((np.sum(losses, axis=1) * self._to_training + prior) / 2)
 
     def unseen_gain(self, causes: Sequence[Cause]) -> dict[Cause, float]:
         """By how much each cause lowers :meth:`unseen_loss`, [nat].
@@ -255,6 +254,7 @@ class Posterior:
         if not causes:
             return {}
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
+        after = self.test.second_squares(causes)
         for c in causes:
             event = self.explains_its_time(c, causes)
             if event and not self.test.tests(c, causes):
@@ -262,22 +262,33 @@ class Posterior:
                 continue
             rest = [x for x in causes if x is not c]
             others = [rest, *([*rest, x] for x in self._simpler(c, rest))]
-            falls = [self.unseen_loss(x) - whole for x in others]
-            chance = [self._fall_by_chance(x, causes) for x in others]
-            gains[c] = min(
-                float(min(fall.min(), fall[1] - less))
-                for fall, less in zip(falls, chance, strict=True)
-            )
+            falls = [
+                (*(self.unseen_loss(x) - whole), self._fall_by_chance(x, after))
+                for x in others
+            ]
+            gains[c] = float(min(min(one, two, two - less) for one, two, less in falls))
         return gains
 
-    def _fall_by_chance(self, rest: Sequence[Cause], causes: Sequence[Cause]) -> float:
-        """Fall of the loss from some causes to more, where these leave much, [nat]."""
-        seen, unseen = self.evidence, self.test.evidence
-        before, after = map(self.test.second_squares, (rest, causes))
+    def _fall_by_chance(self, rest: Sequence[Cause], after: Array) -> float:
+        """Fall of the second loss from some causes to more, where these leave much.
+
+        Args:
+            rest: The fewer causes.
+            after: Squares that more causes leave, see :meth:`.second_squares`.
+
+        Returns:
+            The fall, [nat].
+        """
+        before = self.test.second_squares(rest)
         usual = np.array([np.median(x[x > 0]) if x.any() else 1.0 for x in after])
         unusual = 1.0 - 1.0 / np.maximum(after / usual[:, None], 1.0)
-        scale = seen.count.sum() / max(unseen.count.sum(), 1)
-        return float(np.sum(unusual * (before - after)) * scale / 2)
+        return float(np.sum(unusual * (before - after)) * self._to_training / 2)
+
+    @property
+    def _to_training(self) -> float:
+        """Number of training samples over that of test samples."""
+        unseen = max(self.test.evidence.count.sum(), 1)
+        return float(self.evidence.count.sum() / unseen)
 
     def _simpler(self, c: Cause, rest: Sequence[Cause]) -> list[Cause]:
         """The simpler law that a cause becomes, unless it is among the rest."""
