@@ -20,7 +20,6 @@ class TorqueRipple(JointEffect):
     port = Port.DRIVE
     repeats = "joint"
     choices = 6.0
-    becomes = "periods", "lower", ""  # once a turn, as the weight of a link repeats
     gains = (
         Quantity("sine", "N·m", 0.02, -0.15, 0.15, per=(1, 0)),
         Quantity("cosine", "N·m", 0.0, -0.15, 0.15, per=(1, 0)),
