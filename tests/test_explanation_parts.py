@@ -94,7 +94,7 @@ class Steps(Search):
 
 
 def proposal(made, worth):
-    return Proposal(made.place, worth, lambda: made, made.candidate)
+    return Proposal(made, worth)
 
 
 # --- single steps ---------------------------------------------------------------------
@@ -339,9 +339,8 @@ def believed(cause, *options, probability=0.9, limit=None):
 
 
 def sized(made, parameters, worth=1.0):
-    shapes = SimpleNamespace(gains=[0] * parameters, shapes=[])
-    known = SimpleNamespace(effect=shapes)
-    return Proposal(made.place, worth, lambda: made, known)
+    made.candidate.effect = SimpleNamespace(gains=[0] * parameters, shapes=[])
+    return Proposal(made, worth)
 
 
 def test_a_cause_is_exchanged_for_a_simpler_one():
@@ -362,9 +361,9 @@ def test_an_alternative_is_as_probable_within_half_a_nat(share, near):
     assert (found is simple) == near
     same = believed(A, (own, 0.5), (sized(B, 2), 0.5)).simplest(0.5)
     assert same is None
-    strange = believed(A, (own, 0.5), (Proposal(LAW.place, 1.0, None), 0.5))
+    strange = believed(A, (own, 0.5), (Proposal(LAW, 1.0), 0.5))
     assert strange.simplest(0.5) is None
-    assert own.parameters == 2 and Proposal(LAW.place, 1.0, None).parameters == np.inf
+    assert own.parameters == 2 and Proposal(LAW, 1.0).parameters == np.inf
 
 
 def test_a_law_at_its_limit_is_the_law_that_it_has_become():
@@ -618,12 +617,12 @@ def test_errors_of_known_laws_count_against_unknown_ones():
     at = searched()
     base = at.columns([])
     laws = at.laws.open([])
-    plain = at.best_law(laws, base, base, base[:0], {})
+    plain = at.best_law(laws, [], base, base[:0], {})
     joint = plain.place[1][0]
-    less = at.best_law(laws, base, base, base[:0], {joint: 1.0})
+    less = at.best_law(laws, [], base, base[:0], {joint: 1.0})
     if less.place == plain.place:
         assert less.worth == pytest.approx(plain.worth - 1.0)
-    far = at.best_law(laws, base, base, base[:0], {joint: 1e6})
+    far = at.best_law(laws, [], base, base[:0], {joint: 1e6})
     assert far.place[1] != plain.place[1]
 
 

@@ -36,11 +36,11 @@ def gap_of(*names):
 
 
 def proposed(effect, worth):
-    place = effect.id, effect.joints
-    return Proposal(place, worth, Mock(), Mock(effect=effect))
+    place, none = (effect.id, effect.joints), np.zeros(0, dtype=int)
+    return Proposal(Cause(place, none, 10.0, Mock(effect=effect)), worth)
 
 
-UNKNOWN = Proposal(("speed", (0,)), 0.0, Mock())
+UNKNOWN = Proposal(Cause(("speed", (0,)), np.zeros(0, dtype=int), 12.0), 0.0)
 SHARP, SOFT = Coulomb((0,)), Presliding((0,))
 
 
@@ -52,7 +52,7 @@ def belief(*options, twins=()):
 
 
 def test_what_is_as_probable_as_something_unknown_is_there_by_half():
-    found = belief(proposed(SHARP, 20.0), Proposal(UNKNOWN.place, 20.0, Mock()))
+    found = belief(proposed(SHARP, 20.0), Proposal(UNKNOWN.cause, 20.0))
     assert found.probability == pytest.approx(0.5)
 
 

@@ -88,12 +88,21 @@ def test_what_may_be_added_raises_the_score_by_what_it_promises(effects):
     now, found = at.score(at.causes), at.proposals(at.causes)
     assert [x.worth for x in found] == sorted((x.worth for x in found), reverse=True)
     for x in found:
-        gained = at.score([*at.causes, x.make()]) - now
+        gained = at.score([*at.causes, x.cause]) - now
         if x.candidate is None:  # less what a rough law leaves out
             assert gained >= x.worth - 1e-6
         else:
             assert gained == pytest.approx(x.worth, abs=1e-6)
             assert x.place not in places(at)
+
+
+def test_the_cause_of_a_candidate_is_made_once():
+    at = search(RUBS)
+    size = at.evidence.size
+    made = cause(at, RUBS)
+    assert cause(at, RUBS) is made and at.evidence.size == size + 1
+    wide = at.cause(replace(made.candidate, prior_factor=10.0))
+    assert wide is not made and wide.cost == pytest.approx(made.cost + np.log(10.0))
 
 
 def test_an_effect_at_every_joint_is_as_probable_as_one_and_then_at_each_or_not():
@@ -104,8 +113,6 @@ def test_an_effect_at_every_joint_is_as_probable_as_one_and_then_at_each_or_not(
     saved = cost - (CAUSE + 2 * np.log(2.0))
     assert at.kind_discount(causes) == pytest.approx(saved)
     assert at.kind_discount(causes[:1]) == 0.0
-    assert at.kind_discount(causes[:1], "coulomb") == pytest.approx(saved)
-    assert at.kind_discount(causes, "coulomb") == pytest.approx(saved + CAUSE)
     assert at.kind_discount([causes[0], cause(at, DRAGS)]) == 0.0
     assert at.kind_discount([*causes, causes[0]]) == pytest.approx(saved)
 

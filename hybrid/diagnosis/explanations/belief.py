@@ -101,7 +101,7 @@ def _independent(search: Search, cause: Cause, other: Proposal) -> bool:
     """Whether a proposal at other joints raises the score beside a cause."""
     if other.worth <= 0.0 or {*cause.place[1]} & {*other.place[1]}:
         return False
-    both = search.score([*search.causes, other.make()])
+    both = search.score([*search.causes, other.cause])
     return both > search.score(search.causes)
 
 

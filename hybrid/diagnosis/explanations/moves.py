@@ -59,7 +59,7 @@ class Moves(Proposals):
         for found in self.proposals(self.causes):
             if found.worth <= LEAST_GAIN:
                 break
-            if self._take([*self.causes, found.make()]):
+            if self._take([*self.causes, found.cause]):
                 kind, joints = found.place
                 joint = self.gap.robot.joints[joints[-1]]
                 self._progress(f"cause {len(self.causes)}: {kind} at {joint}")
@@ -100,7 +100,7 @@ class Moves(Proposals):
         now, alone = self.score(self.causes), self.score(rest)
         for found in self.proposals(self.causes, own=cause)[:2]:
             likely = alone + found.worth > now + LEAST_GAIN
-            if likely and self._take([*rest, found.make()]):
+            if likely and self._take([*rest, found.cause]):
                 return True
         if alone > now:
             self.causes = rest
@@ -114,6 +114,6 @@ class Moves(Proposals):
         while best := self.proposals(causes, at=law.place[1])[:1]:
             if best[0].worth <= LEAST_GAIN:
                 break
-            causes.append(best[0].make())
+            causes.append(best[0].cause)
         self.library_only = before
         return self._take(causes)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array, Index
-from hybrid.diagnosis.evidence.candidates import Candidate, Place, candidate
+from hybrid.diagnosis.evidence.candidates import Candidate, candidate
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
 from hybrid.diagnosis.evidence.pool import Pool
@@ -87,7 +87,7 @@ class Posterior:
         self.pool.add_contacts(self.rigid)
         self.pool.add_steep(self.rigid)
         self.laws = UnknownLaws(self.evidence, self.rigid, self.prior)
-        self._simple: dict[Place, Cause] = {}
+        self._causes: dict[tuple[object, ...], Cause] = {}
 
     def _set_noise(self) -> None:
         """Set the noise model, and forget all that depends on it."""
@@ -124,11 +124,14 @@ class Posterior:
         return self.gap.columns(cause.candidate.effect)
 
     def cause(self, c: Candidate) -> Cause:
-        """Make a cause of a candidate, and add its columns."""
-        columns, std = self.gap.columns(c.effect), c.prior_factor * c.std
-        (index,) = self.evidence.add([columns], [std])
-        cost = self.prior.cause + price(c.effect) + float(np.log(c.prior_factor))
-        return Cause(c.place, index, cost, c, c.effect.rough)
+        """Make a cause of a candidate, and add its columns, once."""
+        key = c.place, tuple(c.effect.values.items()), c.prior_factor
+        if key not in self._causes:
+            columns, std = self.gap.columns(c.effect), c.prior_factor * c.std
+            (index,) = self.evidence.add([columns], [std])
+            cost = self.prior.cause + price(c.effect) + float(np.log(c.prior_factor))
+            self._causes[key] = Cause(c.place, index, cost, c, c.effect.rough)
+        return self._causes[key]
 
     def score(self, causes: Sequence[Cause]) -> float:
         """Log posterior of an explanation, up to a constant, [nat]."""
@@ -147,14 +150,14 @@ class Posterior:
             self._cache[key] = function()
         return self._cache[key]
 
-    def kind_discount(self, causes: Sequence[Cause], more: str = "") -> float:
+    def kind_discount(self, causes: Sequence[Cause]) -> float:
         """Discount on the odds for causes of one kind at many joints, [nat].
 
         Their joint prior is that of one cause, times one half for each joint: a file
-        without friction lacks it at all joints. ``more`` is the id of one more effect.
+        without friction lacks it at all joints.
         """
         places = {c.place for c in causes if c.candidate is not None}
-        count = Counter([*(kind for kind, _ in places), *([more] if more else [])])
+        count = Counter(kind for kind, _ in places)
         less = [
             max(self.prior.cause * k - self._kind_odds, 0.0) for k in count.values()
         ]
@@ -298,10 +301,8 @@ class Posterior:
         place = becomes[2], c.place[1]
         if any(x.place == place for x in rest):
             return []
-        if place not in self._simple:
-            effect = effect_classes()[place[0]](place[1])
-            self._simple[place] = self.cause(candidate(self.gap, effect))
-        return [self._simple[place]]
+        effect = effect_classes()[place[0]](place[1])
+        return [self.cause(candidate(self.gap, effect))]
 
     @cached_property
     def test(self) -> OtherSamples:

@@ -1,10 +1,8 @@
 """Causes that may be added to an explanation, with their gain in score."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from weakref import proxy
 
 import numpy as np
 
@@ -20,16 +18,22 @@ class Proposal:
     """A cause that may be added to an explanation.
 
     Attributes:
-        place: Id of the effect, or name of the unknown law; and the joints.
+        cause: The cause.
         worth: Gain in the score, [nat].
-        make: Makes the cause.
-        candidate: The effect with its shapes; ``None`` for an unknown law.
     """
 
-    place: Place
+    cause: Cause
     worth: float
-    make: Callable[[], Cause]
-    candidate: Candidate | None = None
+
+    @property
+    def place(self) -> Place:
+        """Place of the cause."""
+        return self.cause.place
+
+    @property
+    def candidate(self) -> Candidate | None:
+        """The effect with its shapes; ``None`` for an unknown law."""
+        return self.cause.candidate
 
     @property
     def parameters(self) -> float:
@@ -80,41 +84,44 @@ class Proposals(Posterior):
         short = [c for c, x in ranked if x > self.prior.refined_share * ranked[0][1]]
         if own is not None and own.candidate is not None:
             short = [own.candidate, *short]
+        now = self.score(rest)
         for c in short:
-            better, worth = self.refine(base, c)
-            # A reference in a kept proposal would be a cycle.
-            make = partial(Proposals.cause, proxy(self), better)
-            discount = self.kind_discount(rest, c.place[0]) - self.kind_discount(rest)
-            odds = self.prior.cause - discount + self.model_error_odds(c)
-            found.append(Proposal(c.place, worth - odds, make, better))
+            cause = self.cause(self.refine(base, c)[0])
+            found.append(Proposal(cause, self.score([*rest, cause]) - now))
         laws = [x for x in self.laws.open(rest) if x.place not in self.refused]
         if laws and not self.library_only:
-            found.append(self.best_law(laws, base, whole, less, rough))
+            found.append(self.best_law(laws, rest, whole, less, rough))
         return sorted(found, key=lambda x: -x.worth)
 
     def best_law(
         self,
         laws: Sequence[Cause],
-        base: Index,
+        rest: Sequence[Cause],
         whole: Index,
         less: Index,
         rough: Mapping[int, float],
     ) -> Proposal:
-        """The best of some unknown laws beside a base: ``whole`` without ``less``.
+        """The best of some unknown laws beside other causes.
 
-        ``rough`` is the evidence, by joint, that errors of known laws may explain.
+        Args:
+            laws: The laws.
+            rest: The other causes.
+            whole: Columns of an explanation.
+            less: Those of them that the other causes lack.
+            rough: Evidence, by joint, that errors of known laws may explain, [nat].
         """
         every = self.laws.all  # the same ones each time, whose screening is kept
         none = [np.full(len(x.index), -np.inf) for x in every]
         gained = self.evidence.screen(whole, [x.index for x in every], none, less=less)
         known = dict(zip(every, gained, strict=True))
-        worth = {
-            x: float(known[x]) - self.odds(x) - rough.get(x.place[1][0], 0.0)
-            for x in laws
-        }
-        law = max(laws, key=worth.__getitem__)
-        make = partial(self.laws.widened, base, law)
-        return Proposal(law.place, worth[law], make)
+
+        def worth(law: Cause) -> float:
+            return float(known[law]) - self.odds(law) - rough.get(law.place[1][0], 0.0)
+
+        best = max(laws, key=worth)
+        law = self.laws.widened(self.columns(rest), best)
+        gain = self.score([*rest, law]) - self.score(rest)
+        return Proposal(law, gain - rough.get(law.place[1][0], 0.0))
 
     def taken(self, causes: Sequence[Cause]) -> set[Place]:
         """Places of some causes to which no further cause may be added."""

@@ -92,13 +92,11 @@ def _profile_range(
 
     Source: Venzon and Moolgavkar 1988, doi 10.2307/2347496 (profile likelihood).
     """
-    from scipy.stats import qmc
-
     gap, middle = evidence.gap, normalised_shapes(evidence.gap, c.effect)
     names, size = _names(c.effect), len(middle)
-    wide = _WIDER**2 * covariance
-    near = qmc.MultivariateNormalQMC(middle, wide, rng=0).random(_DRAWS)
-    points = np.concatenate([[middle], near, qmc.Sobol(size, rng=0).random(_DRAWS)])
+    rng, wide = np.random.default_rng(0), _WIDER**2 * covariance
+    near = rng.multivariate_normal(middle, wide, _DRAWS, check_valid="ignore")
+    points = np.concatenate([[middle], near, rng.random((_DRAWS, size))])
     worth, off = [], []
     for point in np.clip(points, 0.0, 1.0):
         effect = with_normalised_shapes(gap, c.effect, point)

@@ -181,7 +181,8 @@ class Search(Moves):
             self._improve()
             gains = self.unseen_gain(self.causes)
             bad = [c for c in self._doubtful() if gains[c] <= 0]
-            if not (bad or self._reset_file_error() or self.update_noise(self.causes)):
+            changed = bad or self._reset_file_error() or self.update_noise(self.causes)
+            if not (changed or self._exchange_for_all_samples()):
                 break
             self.causes = [c for c in self.causes if c not in bad]
             bad.sort(key=lambda c: gains[c])
@@ -190,6 +191,25 @@ class Search(Moves):
             loss, rest = self.unseen_loss(self.causes), self.causes
             alone = {c for c in bad[1:] if np.all(self.unseen_loss([*rest, c]) < loss)}
             self.refused |= {c.place for c in bad if c not in alone}
+
+    def _exchange_for_all_samples(self) -> bool:
+        """Exchange a cause for one that is more probable with the test samples, too.
+
+        Returns:
+            Whether there is one; the old one is not tried again then.
+        """
+        now, loss = self.score(self.causes), self.unseen_loss(self.causes)
+        for cause in self._doubtful():
+            rest = [c for c in self.causes if c is not cause]
+            for found in self.proposals(self.causes, own=cause):
+                causes = [*rest, found.cause]
+                fall = np.min(loss - self.unseen_loss(causes)) / self._to_training
+                more = self.score(causes) - now + fall
+                if found.place != cause.place and min(fall, more) > LEAST_GAIN:
+                    self.causes = causes
+                    self.refused |= {cause.place}
+                    return True
+        return False
 
     def _improve(self) -> None:
         for _ in range(_ROUNDS):
@@ -241,7 +261,7 @@ class Search(Moves):
         loss = self.held_out_loss(self.causes)
         self.evidence.scale_prior(self.numbers, typical)
         for found in self.proposals(self.causes)[:1]:
-            causes = [*self.causes, found.make()]
+            causes = [*self.causes, found.cause]
             worth = self.score(causes) - self.file_error_odds(typical) - now
             if worth > LEAST_GAIN and np.all(self.held_out_loss(causes) < loss):
                 self.causes = causes
@@ -276,7 +296,7 @@ class Search(Moves):
         for belief in self.beliefs:
             simple = belief.simplest(LEAST_GAIN)
             if simple is not None:
-                self.causes[self.causes.index(belief.cause)] = simple.make()
+                self.causes[self.causes.index(belief.cause)] = simple.cause
         return self.causes != before
 
     def _replace_improbable(self) -> bool:
@@ -297,7 +317,8 @@ class Search(Moves):
         laws = [x for x in self.laws.open(self.causes) if here & {*x.place[1]}]
         if laws:
             base = self.columns(self.causes)
-            self.causes.append(self.best_law(laws, base, base, base[:0], {}).make())
+            found = self.best_law(laws, self.causes, base, base[:0], {})
+            self.causes.append(found.cause)
         self._remove()
         self._certain = []
         return True
