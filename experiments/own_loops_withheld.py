@@ -4,7 +4,8 @@ The loops of ``own_loops``, each diagnosed twice: with the true effect left out 
 library, where it is right to abstain or to name one that is declared its equivalent,
 and with it. A table has a line for each plant: the gap of its joint on motions that no
 step has seen beside its noise, what is said and what is left of it, without and with
-the effect. To say nothing of a gap that stands above its noise is a miss.
+the effect. To say nothing of a gap that stands above its noise is a miss. With
+--class the equivalents are left out as well: only to abstain is right then.
 
     python experiments/own_loops_withheld.py --arms models/scara.xml,ur5 --seed 301
 """
@@ -23,7 +24,7 @@ from rich.console import Console
 
 from hybrid.report import Table
 
-Job = tuple[str, int, str]
+Job = tuple[str, int, str, tuple[str, ...]]  # arm, seed, fault, what else is left out
 HEADS = ("arm", "fault", "gap (noise)", "withheld", "left", "given back", "left")
 
 
@@ -39,8 +40,8 @@ def without(found: dict[str, Any]) -> str:
 
 def both(job: Job) -> dict[str, Any]:
     """Diagnose one fault without the effect of that name, and with it."""
-    arm, seed, kind = job
-    withheld = run(arm, (kind,), seed, without=(kind,))
+    arm, seed, kind, more = job
+    withheld = run(arm, (kind,), seed, without=(kind, *more))
     added = run(arm, (kind,), seed)
     return {
         "withheld": withheld | {"outcome": without(withheld)},
@@ -68,17 +69,25 @@ def main() -> None:
     parser = command_line(__doc__, "own_loops_withheld")
     parser.add_argument("--arms", default="models/scara.xml,ur5")
     parser.add_argument("--seed", type=int, default=301)
+    parser.add_argument("--class", action="store_true", dest="whole_class")
     parser.add_argument("--workers", type=int, default=2)
     args, console, pairs = parser.parse_args(), Console(width=160), []
     kinds = [k for k in KINDS if k not in ("none", *IN_COMMAND)]
-    jobs = [(arm, args.seed, kind) for arm in args.arms.split(",") for kind in kinds]
+    alike = EQUIVALENT if args.whole_class else {}
+    jobs = [
+        (arm, args.seed, kind, tuple(sorted(alike.get(kind, ()))))
+        for arm in args.arms.split(",")
+        for kind in kinds
+    ]
     with ProcessPoolExecutor(args.workers) as pool:
         for pair in pool.map(both, jobs):
             pairs.append(pair)
             console.print(*line(pair), highlight=False)
     table = Table(
         HEADS, tuple(map(line, pairs)),
-        "One fault a plant: what is said with its effect withheld from the library, "
+        "One fault a plant: what is said with its effect "
+        + "and all equivalents " * args.whole_class
+        + "withheld from the library, "
         "and with it given back; RMS at its joint on unseen motions, N·m",
         words=True,
     )  # fmt: skip
@@ -89,7 +98,7 @@ def main() -> None:
     times = [p[part]["cpu_s"] for p in pairs for part in ("withheld", "added")]
     counts.append(f"CPU: mean {sum(times) / len(times):.1f} s, most {max(times):.0f} s")
     command = "python experiments/own_loops_withheld.py"
-    command += f" --arms {args.arms} --seed {args.seed}"
+    command += f" --arms {args.arms} --seed {args.seed}" + " --class" * args.whole_class
     write_report(args.out, table, "\n\n".join(counts), command, pairs)
 
 
