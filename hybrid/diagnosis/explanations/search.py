@@ -2,7 +2,8 @@
 
 Causes are added, exchanged and removed as long as the :class:`.Posterior` rises. Each
 step must lower the cross-validated loss as well, and each cause of the result the loss
-on test samples.
+on test samples. Another cause takes its place if it lowers that loss further, and is
+more probable with training and test samples together.
 """
 
 from collections.abc import Sequence
