@@ -17,7 +17,7 @@ from hybrid.calibration.geometry import (
 )
 from hybrid.calibration.measurements import Measurements
 from hybrid.calibration.model import KinematicModel, Steps, station_labels
-from hybrid.calibration.solve import KinematicSolution, Rejected, solve
+from hybrid.calibration.solve import KinematicSolution, solve
 from hybrid.calibration.steps import follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError, RobotError, warn
@@ -50,7 +50,6 @@ class Setup:
         geometry: Its axes as Denavit-Hartenberg rows.
         model: Kinematics from the instrument to the measured points, aligned.
         labels: Free parameters; of equivalent ones, the first is identified.
-        units: Units of the free parameters.
         load: Torque of gravity on each joint, shape (N, n), [N·m]; None if not used.
     """
 
@@ -58,7 +57,6 @@ class Setup:
     geometry: Geometry
     model: KinematicModel
     labels: tuple[str, ...]
-    units: tuple[str, ...]
     load: Array | None
 
 
@@ -86,21 +84,11 @@ class Calibration(Shown):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Corrections to the nominal arm, with standard deviations."""
-        units = dict(zip(self.setup.labels, self.setup.units, strict=True))
-        values = self.solution.values().items()
+        values, std = self.solution.values(), self.solution.std.tolist()
         return tuple(
-            Parameter(label, x, unit=units[label], std=float(std))
-            for (label, x), std in zip(values, self.solution.std, strict=True)
+            Parameter(label, x, unit=self.setup.model.units[label], std=own)
+            for (label, x), own in zip(values.items(), std, strict=True)
         )
-
-    def interval(self, level: float = 0.95) -> tuple[Array, Array]:
-        """Confidence limits of the corrections, shape (b,) each."""
-        return self.solution.interval(level)
-
-    @property
-    def rejected(self) -> tuple[Rejected, ...]:
-        """Outliers, which were left out."""
-        return self.solution.rejected
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
@@ -205,7 +193,6 @@ def calibrate(
         setup.model,
         data,
         setup.labels,
-        setup.units,
         frames=sum(_group(label) in ("base", "tool") for label in setup.labels),
         load=setup.load,
         robust=robust,
@@ -247,12 +234,11 @@ def build_setup(
     )
     model = KinematicModel((*base, *geometry.steps), tools, stations)
     labels = sorted(
-        (x for x in model.labels if _group(x) in free or x.startswith("station_")),
+        (x for x in model.units if _group(x) in free or x.startswith("station_")),
         key=_rank,
     )
     load = _load(robot, data.q, "compliance" in free)
-    units = tuple(_unit(label, robot) for label in labels)
-    return Setup(robot, geometry, model, tuple(labels), units, load)
+    return Setup(robot, geometry, model, tuple(labels), load)
 
 
 def observability_index(jacobian: Array, poses: int) -> float:
@@ -277,18 +263,6 @@ def _rank(label: str) -> int:
 
 def _group(label: str) -> str:
     return _GROUP[label.split("_")[0]]
-
-
-def _unit(label: str, robot: Robot) -> str:
-    kind, _, rest = label.partition("_")
-    if kind == "compliance":
-        turns = robot.chain.revolute[robot.joints.index(rest)]
-        return "rad/(N·m)" if turns else "m/N"
-    if kind == "scale":
-        return ""
-    if _GROUP[kind] == "geometry":
-        return "m" if kind in ("a", "d") else "rad"
-    return "rad" if rest.split("_")[-1] in ("rx", "ry", "rz") else "m"
 
 
 def _load(robot: Robot, q: Array, wanted: bool) -> Array | None:

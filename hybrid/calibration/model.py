@@ -48,16 +48,16 @@ class KinematicModel:
     stations: Array
 
     @cached_property
-    def labels(self) -> tuple[str, ...]:
-        """Names of all parameters, in their order along the kinematics."""
-        found = [
-            step.parameter
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter by its name, in their order along the kinematics."""
+        found = {
+            step.parameter: step.unit
             for step in (*self.steps, *(step for tool in self.tools for step in tool))
             if isinstance(step, Step) and step.parameter
-        ]
+        }
         for j in range(len(self.stations)):
-            found += station_labels(j)
-        return tuple(dict.fromkeys([*found, *["scale"] * (len(self.stations) > 0)]))
+            found |= dict.fromkeys(station_labels(j), "m")
+        return found | ({"scale": ""} if len(self.stations) else {})
 
     def frames(
         self,
@@ -66,13 +66,9 @@ class KinematicModel:
         load: Array | None = None,
         batch: tuple[int, ...] = (),
     ) -> list[Frame]:
-        """Frame at the end of each tool.
+        """Frame at the end of each tool, see :func:`follow`.
 
-        Args:
-            q: Joint positions, shape (N, n), [rad or m].
-            values: Parameters by name; absent ones are zero.
-            load: Load of each joint, shape (N, n), [N·m].
-            batch: (P,) if the values are arrays of that shape.
+        ``batch`` is (P,) if the values are arrays of that shape.
         """
         flange = follow(start(q, batch), self.steps, q, values, load)
         return [follow(flange, tool, q, values, load) for tool in self.tools]
@@ -86,11 +82,8 @@ class KinematicModel:
     ) -> list[Block]:
         """Residuals and their derivatives, without missing measurements.
 
-        Args:
-            data: N measured poses.
-            labels: Names of the free parameters, length p.
-            x: Their values, shape (p,).
-            load: Load of each joint, shape (N, n), [N·m].
+        The free parameters have labels, length p, and values, shape (p,); each joint
+        has a load, shape (N, n), [N·m].
         """
         values = dict(zip(labels, x.tolist(), strict=True))
         frames = self.frames(data.q, values, load)
@@ -136,15 +129,12 @@ def _velocities(frame: Frame, labels: Sequence[str]) -> tuple[Array, Array]:
     """Linear and angular velocity of a frame per parameter, shape (N, 3, p) each."""
     linear = np.zeros((*frame.origin.shape, len(labels)))
     angular = np.zeros_like(linear)
-    here = [k for k, label in enumerate(labels) if label in frame.screws]
+    here = [k for k, label in enumerate(labels) if label in frame.twists]
     if here:
-        screws = [frame.screws[labels[k]] for k in here]
-        axis = np.stack([screw.axis for screw in screws], axis=-1)  # (N, 3, p)
-        arm = frame.origin[..., None] - np.stack([s.origin for s in screws], axis=-1)
-        turns = np.array([screw.turns for screw in screws])
-        turned = np.cross(axis, arm, axis=-2)
-        linear[..., here] = np.where(turns, turned, axis)
-        angular[..., here] = np.where(turns, axis, 0.0)
+        twists = np.stack([frame.twists[labels[k]] for k in here], axis=-1)
+        moves, turns = np.split(twists, 2, axis=-2)  # (N, 3, p)
+        linear[..., here] = moves + np.cross(turns, frame.origin[..., None], axis=-2)
+        angular[..., here] = turns
     return linear, angular
 
 
