@@ -21,7 +21,7 @@ class InstantColumns:
     def __init__(
         self, robot: Robot, problem: Problem, layout: RowLayout, instants: int
     ) -> None:
-        self._problem, self._layout = problem, layout
+        self._problem, self.layout = problem, layout
         self.rows = np.zeros((instants, len(layout.joints)))
         self._find_rigid(robot)
         self._laws = InstantLaws(problem.effects, layout)
@@ -34,9 +34,9 @@ class InstantColumns:
         States are time (B,), [s], position (B, n), [rad], speed and acceleration; the
         unknowns (d,) give shapes and load.
         """
-        motion = np.concatenate(states[1:], axis=1).tolist()
+        instants = np.concatenate(states[1:], axis=1).tolist()
         for k, row in enumerate(self.rows):
-            row[self._targets] = self._regressor.at(motion[k])
+            row[self._targets] = self._regressor.at(instants[k])
             if k % _TOGETHER == _TOGETHER - 1 or k == len(self.rows) - 1:
                 yield
         laws = self._laws
@@ -45,12 +45,15 @@ class InstantColumns:
             row[laws.places] = laws(t, q, v, a, load, theta)
             yield
         if laws.others:
-            self._fill_others(states, theta)
+            motion = Motion(*states, 0 * states[1], np.ones(len(self.rows), dtype=bool))
+            body = RigidBody(self._problem.chain, motion, self._problem.inertial)
+            for e in laws.others:
+                self._fill_other(e, motion, body, theta)
             yield
 
     def _find_rigid(self, robot: Robot) -> None:
         """Find the regressor entries that are needed, and their places in a row."""
-        n, layout, kept = robot.size, self._layout, np.array(self._problem.base.kept)
+        n, layout, kept = robot.size, self.layout, np.array(self._problem.base.kept)
         inertial = np.flatnonzero(np.isin(layout.unknowns, self._problem.rigid))
         joints, self._base = layout.joints[inertial], layout.unknowns[inertial]
         self._inertial, self._of_joint = inertial, np.eye(n)[joints]
@@ -61,21 +64,12 @@ class InstantColumns:
         self._regressor = regressor_law(robot.chain, tuple(entries))
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
-    def _fill_others(
-        self, states: tuple[Array, Array, Array, Array], theta: Array
-    ) -> None:
-        """Write the effects that depend on several joints; slower."""
-        t, q, *_ = states
-        motion = Motion(*states, 0 * q, np.ones(len(t), dtype=bool))
-        body = RigidBody(self._problem.chain, motion, self._problem.inertial)
-        for e in self._laws.others:
-            self._fill_other(e, motion, body, theta)
-
     def _fill_other(
         self, e: int, motion: Motion, body: RigidBody, theta: Array
     ) -> None:
-        effect, own = self._problem.effects[e], self._layout.gains[e]
-        shapes, joints = self._layout.shapes[e], effect.reaches(motion.q.shape[1])
+        """Write an effect that depends on several joints; slower."""
+        effect, own = self._problem.effects[e], self.layout.gains[e]
+        shapes, joints = self.layout.shapes[e], effect.reaches(motion.q.shape[1])
         names, values = [s.name for s in effect.shapes], theta[shapes].tolist()
         here = effect.at(dict(zip(names, values, strict=True)))
         columns = here.columns(motion, body)  # (B, r, p)
@@ -84,14 +78,14 @@ class InstantColumns:
 
         def write(unknown: int, torque: Array) -> None:
             for joint, x in zip(joints, torque.T, strict=True):
-                place = self._layout.place(joint, unknown)
+                place = self.layout.place(joint, unknown)
                 if place >= 0:
                     self.rows[:, place] = x
 
         for g in known:
             write(own[g], columns[:, :, g])
         for unknown, x, s in zip(shapes, values, effect.shapes, strict=True):
-            if self._layout.place(joints[0], unknown) >= 0:
+            if self.layout.place(joints[0], unknown) >= 0:
                 step = STEP * max(abs(x), STEP)
                 step = -step if x - step >= s.lower else step
                 moved = here.at({s.name: x + step}).columns(motion, body)

@@ -50,13 +50,8 @@ class InstantLaws:
     ) -> Sequence[float]:
         """Derivatives, for the places of a row in ``places``.
 
-        Args:
-            t: Time, [s].
-            q: Position, shape (n,), [rad].
-            v: Speed, shape (n,), [rad/s].
-            a: Acceleration, shape (n,), [rad/s²].
-            load: Torque of the rigid body, shape (n,), [N·m].
-            theta: Unknowns, shape (d,).
+        The load is the torque of the rigid body, shape (n,), [N·m], and ``theta`` are
+        the unknowns, shape (d,).
         """
         signals = np.concatenate([q, v, a, load, theta[self._unknowns]])
         return self._law.at([t, *signals.tolist()])
