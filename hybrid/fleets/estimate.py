@@ -105,14 +105,10 @@ def deviations(
     track: Sequence[str],
     tool: Sequence[float] = (),
 ) -> list[Deviation]:
-    """Deviations of an arm from its baseline; the logs are checked against physics.
+    """Deviations of an arm from its baseline, from the logs of one period.
 
-    Args:
-        model: The baseline.
-        recordings: Logs of one period.
-        track: Tracked effects or gains, see :func:`followed`.
-        tool: Position of a payload in the last joint's frame, [m]; the centre of mass
-            of the last link by default.
+    Effects or gains are tracked, see :func:`followed`. A payload has the position of
+    the tool in the last joint's frame, [m], or of the last link's centre of mass.
 
     Raises:
         HybridError: A log contradicts physics, or is too short.
