@@ -202,12 +202,8 @@ def point_change(
 ) -> Array:
     """Derivative by the joint positions of points along a direction, shape (N, n).
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        link: Link of the points, −1 for the base; one for all, or shape (N,).
-        point: Points in the base frame, shape (N, 3), [m].
-        direction: Direction in the base frame, shape (N, 3).
+    The points, of one link or of one each (−1 for the base), and their directions have
+    the shape (N, 3), in the base frame.
     """
     out = np.zeros_like(q)
     _, origin, axis = frames(chain, q)
