@@ -168,11 +168,8 @@ def with_curves(
 def soft_springs(stiffness: Array, preload: Array) -> tuple[Array, Array]:
     """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, shape (n,) each.
 
-    A preload without a spring is a very soft spring with a distant relaxed position.
-
-    Args:
-        stiffness: Of the springs, shape (n,), [N·m/rad].
-        preload: Torque of the springs against motion at zero, shape (n,), [N·m].
+    A preload, torque against motion at zero, [N·m], without a spring is a very soft
+    spring with a distant relaxed position.
     """
     stiffness = np.where((stiffness == 0) & (preload != 0), _SOFTEST, stiffness)
     return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

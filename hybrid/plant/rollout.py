@@ -63,14 +63,8 @@ def rollout(
     """Simulate freely from measured states under the measured torque.
 
     The motors start at their measured position and speed. Elastic deflection, backlash
-    and bristles start in the states that follow from the measured motion.
-
-    Args:
-        robot: The simulator.
-        effects: Effects on it.
-        motions: Measured motions with their torque.
-        windows: Windows to replay.
-        step: Longest physics step, [s]; samples are a whole number of steps apart.
+    and bristles start in the states that follow from the measured motion. Samples are a
+    whole number of physics steps apart, of at most ``step``, [s].
 
     Returns:
         Position that the encoders would show at the samples of each window, shape
@@ -97,10 +91,10 @@ def rollout(
 
 
 class _FreeTrajectories(Lockstep):
-    """Trajectories that start in motion, each at its own time, and that may diverge.
+    """Trajectories that start in motion, each at its own time.
 
     Attributes:
-        lost: Whether each trajectory has diverged, shape (B,).
+        diverged: Whether each trajectory has diverged, shape (B,).
     """
 
     def __init__(
