@@ -67,7 +67,7 @@ def steps_from_dh(rows: Sequence[Mapping[str, float]]) -> tuple[Step, ...]:
     )
 
 
-MODEL = KinematicModel(steps_from_dh(ROWS), ((),), np.zeros((0, 3)))
+MODEL = KinematicModel(steps_from_dh(ROWS), ((),))
 
 
 def random_poses(count: int, rng: np.random.Generator) -> Array:

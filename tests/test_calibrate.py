@@ -407,7 +407,7 @@ def test_classical_rows_recover_the_errors_of_a_published_arm():
         {"theta": 0.0, "d": 0.0, "a": 0.0, "alpha": -half},
         {"theta": 0.0, "d": 0.095, "a": 0.0, "alpha": 0.0},
     ]
-    model = KinematicModel(steps_from_dh(rows), ((),), np.zeros((0, 3)))
+    model = KinematicModel(steps_from_dh(rows), ((),))
     rng = np.random.default_rng(0)
     truth = 2e-3 * rng.normal(size=24)
     q = rng.uniform(-2, 2, (50, 6))

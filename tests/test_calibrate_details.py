@@ -169,7 +169,8 @@ def test_parameters_have_their_group_unit_and_place():
         Step(2, False, parameter="compliance_slide", load=1),
     )
     tools = (free_frame("tool"), free_frame("reflector_2", turns=False))
-    model = KinematicModel((*free_frame("base"), *arm), tools, np.zeros((1, 3)))
+    stations = (free_frame("station_1", turns=False),)
+    model = KinematicModel((*free_frame("base"), *arm), tools, stations)
     assert {x: model.units[x] for x in units} == units
     groups = {
         "base_x": "base", "tool_rz": "tool", "reflector_2_y": "tool",
@@ -185,8 +186,7 @@ def test_the_load_is_the_torque_of_gravity():
     q = random_poses(coman(), 5, np.random.default_rng(0))
     chain, still = coman().chain, np.zeros((5, 6))
     held = inverse_dynamics(chain, chain.inertial, q, still, still)
-    np.testing.assert_array_equal(_load(coman(), q, True), -held)
-    assert _load(coman(), q, False) is None
+    np.testing.assert_array_equal(_load(coman(), q), -held)
 
 
 def test_parallel_axes_have_a_second_angle_in_place_of_a_shift():

@@ -39,25 +39,23 @@ class KinematicModel:
     Attributes:
         steps: From the instrument's frame to the flange.
         tools: From the flange to each of the r measured points.
-        stations: Initial stations of a distance meter, shape (s, 3), [m]; their
-            corrections are named ``station_1_x`` and so on.
+        stations: From the base to each of the s stations of a distance meter.
     """
 
     steps: Steps
     tools: tuple[Steps, ...]
-    stations: Array
+    stations: tuple[Steps, ...] = ()
 
     @cached_property
     def units(self) -> dict[str, str]:
         """Unit of each parameter by its name, in their order along the kinematics."""
         found = {
             step.parameter: step.unit
-            for step in (*self.steps, *(step for tool in self.tools for step in tool))
+            for steps in (self.steps, *self.tools, *self.stations)
+            for step in steps
             if isinstance(step, Step) and step.parameter
         }
-        for j in range(len(self.stations)):
-            found |= dict.fromkeys(station_labels(j), "m")
-        return found | ({"scale": ""} if len(self.stations) else {})
+        return found | ({"scale": ""} if self.stations else {})
 
     def frames(
         self,
@@ -88,7 +86,9 @@ class KinematicModel:
         values = dict(zip(labels, x.tolist(), strict=True))
         frames = self.frames(data.q, values, load)
         if data.distance is not None:
-            return [self._distances(data.distance, frames[0], labels, values)]
+            stations = [follow(start(data.q), x, data.q, values) for x in self.stations]
+            stretch = values.get("scale", 0.0)
+            return [_distances(data.distance, frames[0], stations, stretch, labels)]
         linear = [_velocities(frame, labels)[0] for frame in frames]
         residual = np.stack([frame.origin for frame in frames], axis=1) - data.position
         blocks = [_block("position", residual, np.stack(linear, axis=1))]
@@ -97,32 +97,28 @@ class KinematicModel:
             blocks.append(_orientations(data.rotation, frames[0].rotation, angular))
         return blocks
 
-    def _distances(
-        self, measured: Array, frame: Frame, labels: Sequence[str], values: Values
-    ) -> Block:
-        linear = _velocities(frame, labels)[0]  # (N, 3, p)
-        stretch = 1.0 + values.get("scale", 0.0)
-        residual = np.empty((*measured.shape, 1))
-        jacobian = np.zeros((*measured.shape, 1, len(labels)))
-        for j, nominal in enumerate(self.stations):
-            names = station_labels(j)
-            at = nominal + np.array([values.get(name, 0.0) for name in names])
-            between = frame.origin - at
-            length = np.linalg.norm(between, axis=1)
-            toward = between / length[:, None]
-            residual[:, j, 0] = stretch * length - measured[:, j]
-            jacobian[:, j, 0] = stretch * np.einsum("nc,ncp->np", toward, linear)
-            for c, name in enumerate(names):
-                if name in labels:
-                    jacobian[:, j, 0, labels.index(name)] -= stretch * toward[:, c]
-            if "scale" in labels:
-                jacobian[:, j, 0, labels.index("scale")] = length
-        return _block("distance", residual, jacobian)
 
-
-def station_labels(j: int) -> list[str]:
-    """Names of the coordinates of station j, ``station_1_x`` to ``_z`` for 0."""
-    return [f"station_{j + 1}_{axis}" for axis in "xyz"]
+def _distances(
+    measured: Array,
+    tool: Frame,
+    stations: Sequence[Frame],
+    scale: float,
+    labels: Sequence[str],
+) -> Block:
+    """Block of the distances of a tool from stations, shape (N, s)."""
+    linear = _velocities(tool, labels)[0]  # (N, 3, p)
+    residual = np.empty((*measured.shape, 1))
+    jacobian = np.empty((*measured.shape, 1, len(labels)))
+    for j, station in enumerate(stations):
+        between = tool.origin - station.origin
+        length = np.linalg.norm(between, axis=1)
+        way = (1.0 + scale) * between / length[:, None]
+        moves = linear - _velocities(station, labels)[0]
+        residual[:, j, 0] = (1.0 + scale) * length - measured[:, j]
+        jacobian[:, j, 0] = np.einsum("nc,ncp->np", way, moves)
+        if "scale" in labels:
+            jacobian[:, j, 0, labels.index("scale")] = length
+    return _block("distance", residual, jacobian)
 
 
 def _velocities(frame: Frame, labels: Sequence[str]) -> tuple[Array, Array]:

@@ -211,11 +211,18 @@ class _Fit:
         self, x: Array, *, loss: Literal["linear", "cauchy"] = "linear"
     ) -> Array:
         """Weighted least squares from a first estimate."""
+
+        def residual(x: Array) -> Array:
+            return self.weighted(x)[0]
+
+        def jacobian(x: Array) -> Array:
+            return self.weighted(x)[1]
+
         plain = loss == "linear"
         result = least_squares(
-            lambda x: self.weighted(x)[0],
+            residual,
             x,
-            lambda x: self.weighted(x)[1],
+            jacobian,
             method="lm" if plain else "trf",
             loss=loss,
             x_scale="jac",

@@ -116,5 +116,8 @@ def part(state: JointState, where: slice | Index | list[int]) -> JointState:
     """State of some of the joints."""
     if isinstance(where, slice) and where == slice(0, state.q.shape[1]):
         return state
-    signals = vars(state).values()
-    return JointState(*(x if x is None else x[:, where] for x in signals))
+    return JointState(
+        state.t[:, where], state.q[:, where], state.v[:, where],
+        state.a[:, where], state.sign[:, where], state.load[:, where],
+        None if state.temperature is None else state.temperature[:, where],
+    )  # fmt: skip
