@@ -1,17 +1,23 @@
-"""Regression columns of rigid body and effects at some instants, in small steps."""
+"""Regression columns of rigid body and effects at some instants, in small steps.
 
-from collections.abc import Iterator
+Laws of single joints are compiled into one function of plain numbers.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.dynamics import RigidBody, regressor_law
-from hybrid.online.laws import STEP, InstantLaws
+from hybrid.dynamics import Law, RigidBody, Tape, regressor_law
+from hybrid.effects import Effect, JointEffect, JointState
+from hybrid.errors import HybridError
 from hybrid.online.layout import PAYLOAD, RowLayout
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
+_STEP = 1e-4  # relative, for finite differences of the shapes
 _TOGETHER = 2  # instants in a rigid-body step, which then takes as long as the others
 
 
@@ -24,7 +30,7 @@ class InstantColumns:
         self._problem, self.layout = problem, layout
         self.rows = np.zeros((instants, len(layout.joints)))
         self._find_rigid(robot)
-        self._laws = InstantLaws(problem.effects, layout)
+        self._compile_laws()
 
     def fill(
         self, states: tuple[Array, Array, Array, Array], theta: Array
@@ -39,15 +45,15 @@ class InstantColumns:
             row[self._targets] = self._regressor.at(instants[k])
             if k % _TOGETHER == _TOGETHER - 1 or k == len(self.rows) - 1:
                 yield
-        laws = self._laws
         for row, t, q, v, a in zip(self.rows, *states, strict=True):
             load = (row[self._inertial] * theta[self._base]) @ self._of_joint
-            row[laws.places] = laws(t, q, v, a, load, theta)
+            signals = np.concatenate([q, v, a, load, theta[self._unknowns]])
+            row[self._places] = self._law.at([t, *signals.tolist()])
             yield
-        if laws.others:
+        if self._others:
             motion = Motion(*states, 0 * states[1], np.ones(len(self.rows), dtype=bool))
             body = RigidBody(self._problem.chain, motion, self._problem.inertial)
-            for e in laws.others:
+            for e in self._others:
                 self._fill_other(e, motion, body, theta)
             yield
 
@@ -63,6 +69,34 @@ class InstantColumns:
         entries = np.ravel_multi_index((rows, columns), (n, 10 * n)).tolist()
         self._regressor = regressor_law(robot.chain, tuple(entries))
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
+
+    def _compile_laws(self) -> None:
+        """Compile derivatives of torque by gains and shapes of laws, and their places.
+
+        Laws that cannot be compiled, and effects of more than one joint, are others.
+        """
+        n, tape, layout = self.layout.joint_count, Tape(), self.layout
+        names = ["t", *(f"{x}[{j}]" for x in ("q", "v", "a", "load") for j in range(n))]
+        t, *signals = (tape.input(name) for name in names)
+        states = [
+            JointState(t, q, v, a, np.sign(v), load)
+            for q, v, a, load in zip(
+                *(signals[k * n : k * n + n] for k in range(4)), strict=True
+            )
+        ]
+        found: dict[int, Any] = {}
+        self._others: list[int] = []
+        for e, effect in enumerate(self._problem.effects):
+            try:
+                found |= _law_columns(e, effect, states, layout, tape)
+            except (HybridError, TypeError, ValueError):
+                self._others.append(e)
+        self._places = np.array(list(found), dtype=int)
+        inputs = {x.arguments[0] for x in tape.lines if x.name == "input"}
+        marks = [u for u in range(layout.size) if f"theta[{u}]" in inputs]
+        self._unknowns = np.array(marks, dtype=int)
+        names += [f"theta[{u}]" for u in marks]
+        self._law = Law(tape, tuple(found.values()), tuple(names))
 
     def _fill_other(
         self, e: int, motion: Motion, body: RigidBody, theta: Array
@@ -86,7 +120,43 @@ class InstantColumns:
             write(own[g], columns[:, :, g])
         for unknown, x, s in zip(shapes, values, effect.shapes, strict=True):
             if self.layout.place(joints[0], unknown) >= 0:
-                step = STEP * max(abs(x), STEP)
+                step = _STEP * max(abs(x), _STEP)
                 step = -step if x - step >= s.lower else step
                 moved = here.at({s.name: x + step}).columns(motion, body)
                 write(unknown, (moved - columns)[:, :, known] @ gains / step)
+
+
+def _law_columns(
+    e: int,
+    effect: Effect,
+    states: Sequence[JointState],
+    layout: RowLayout,
+    tape: Tape,
+) -> dict[int, Any]:
+    """Symbolic derivative by each gain and shape, by its place in a row."""
+    if not isinstance(effect, JointEffect):
+        raise HybridError(f"{effect.id} is no law of one joint's own state")
+    (joint,) = effect.joints
+
+    def places(unknowns: Sequence[int]) -> list[int]:
+        return [layout.place(joint, u) for u in unknowns]
+
+    def theta(unknown: int) -> Any:
+        return tape.input(f"theta[{unknown}]") if unknown >= 0 else 0.0
+
+    gains, slopes = places(layout.gains[e]), places(layout.shapes[e])
+    tracked = all(place >= 0 for place in slopes)
+    shapes: dict[str, Any] = dict(effect.shape_values)
+    if tracked:
+        shapes = dict(zip(shapes, map(theta, layout.shapes[e]), strict=True))
+    law = [*effect.law(states[joint], **shapes)]
+
+    def torque(law: Sequence[Any]) -> Any:
+        return sum(theta(u) * x for u, x in zip(layout.gains[e], law, strict=True))
+
+    found = dict(zip(gains, law, strict=True))
+    for name, place in zip(shapes, slopes, strict=True) if tracked else ():
+        step = _STEP * np.maximum(abs(shapes[name]), _STEP)
+        moved = effect.law(states[joint], **shapes | {name: shapes[name] + step})
+        found[place] = (torque(moved) - torque(law)) / step
+    return {place: x for place, x in found.items() if place >= 0}
