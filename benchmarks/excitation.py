@@ -99,7 +99,7 @@ def obstacles(robot: Robot, kind: str) -> tuple[tuple[Constraint, ...], str]:
     if not kind:
         return (), ""
     links = Clearance.of(robot, Limits.of(robot))
-    text = f", {len(links.pairs)} link pairs"
+    text = f", {len(set(links.names))} link pairs"
     if "floor" not in kind:
         return (links,), text
     floor = Floor(robot, links.capsules, FLOOR)

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from kinematic_calibration_report import write_report
-from mh6 import LABELS, MODEL, TRUE, UNITS, UPPER, measure, pose_errors, random_poses
+from mh6 import LABELS, MODEL, TRUE, UPPER, measure, pose_errors, random_poses
 from outputs import command_line
 from search import minimise
 from search.ranked_genetic import RankedGenetic
@@ -65,7 +65,7 @@ def efficiency(q: Array, outliers: float, seeds: int) -> dict[str, float]:
     bound = np.diagonal(np.linalg.inv(J.T @ J))
     error, inside = [], []
     for seed in range(seeds):
-        solution = solve(MODEL, measure(q, NOISE, outliers, seed), LABELS, UNITS)
+        solution = solve(MODEL, measure(q, NOISE, outliers, seed), LABELS)
         error.append(solution.x - TRUE)
         low, high = solution.interval()
         inside.append((low < TRUE) & (TRUE < high))
@@ -84,7 +84,7 @@ def main() -> None:
     fit, test = measure(q[:50], 0, 0, 0), measure(q[50:], 0, 0, 0)
     runs = [searched(fit, seed) for seed in range(FIRST, FIRST + seeds)]
     began = time.process_time()
-    exact = solve(MODEL, fit, LABELS, UNITS), time.process_time() - began
+    exact = solve(MODEL, fit, LABELS), time.process_time() - began
     bounds = {share: efficiency(q[:50], share, 100) for share in (0.0, 0.05)}
     write_report(args.out, runs, exact, test, bounds, f"--seeds {seeds}")
 

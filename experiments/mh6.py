@@ -41,7 +41,6 @@ LABELS = tuple(
     for name in ("theta", "beta" if k == 1 else "d", "a", "alpha")
 )
 LENGTH = np.array([label[:2] in ("d_", "a_") for label in LABELS])
-UNITS = tuple("m" if length else "rad" for length in LENGTH)
 SHOWN = np.where(LENGTH, 1e3, 1e2)  # mm and 1e-2 rad
 TRUE = np.array(_TRUE.split(), dtype=float) / SHOWN
 PUBLISHED = np.array(_PUBLISHED.split(), dtype=float) / SHOWN
@@ -68,7 +67,7 @@ def steps_from_dh(rows: Sequence[Mapping[str, float]]) -> tuple[Step, ...]:
     )
 
 
-MODEL = KinematicModel(steps_from_dh(ROWS), ((),), np.zeros((0, 3)))
+MODEL = KinematicModel(steps_from_dh(ROWS), ((),))
 
 
 def random_poses(count: int, rng: np.random.Generator) -> Array:

@@ -126,7 +126,7 @@ def _draw_design(design: Design, ax: Axes) -> None:
 
 
 def _calibration_rows(calibration: Calibration) -> list[dict[str, Any]]:
-    low, high = calibration.interval()
+    low, high = calibration.solution.interval()
     return [
         {"correction": x.name, "unit": x.unit, "value": x.value, "std": x.std,
          "low": low[k], "high": high[k]}
@@ -135,7 +135,7 @@ def _calibration_rows(calibration: Calibration) -> list[dict[str, Any]]:
 
 
 def _draw_calibration(calibration: Calibration, ax: Axes) -> None:
-    low, high = calibration.interval()
+    low, high = calibration.solution.interval()
     middle, place = (low + high) / 2, np.arange(len(low))
     ax.errorbar(place, 1e3 * middle, 5e2 * (high - low), fmt="o", color=BLUE, capsize=2)
     ax.axhline(0.0, color="#e3e3e3", linewidth=0.8)

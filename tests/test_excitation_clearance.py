@@ -184,15 +184,15 @@ def test_links_whose_capsules_touch_almost_anywhere_are_left_out_and_named():
     clearance = clearance_of_coman(limits)
     q = np.random.default_rng(5).uniform(limits.low, limits.high, (500, 6))
     assert ((clearance.distance(q) < 0.01).mean(axis=0) < 0.4).all()
-    assert [2, 5] not in clearance.pairs.tolist()
-    assert [-1, 4] in clearance.pairs.tolist()
+    assert [2, 5] not in clearance.links.tolist()
+    assert [-1, 4] in clearance.links.tolist()
 
 
 def test_links_without_geometry_are_left_out_and_named():
     robot = public_arm("z1")  # of seven links five have any
     with pytest.warns(HybridWarning, match="collision geometry: joint1, joint5"):
         clearance = Clearance.of(robot, Limits.of(robot))
-    assert set(clearance.pairs.ravel()) == {-1, 1, 2, 3, 5, 6}
+    assert set(clearance.links.ravel()) == {-1, 1, 2, 3, 5, 6}
     distance = clearance.distance(np.zeros((2, robot.size)))
     assert distance.shape == (2, len(clearance.pairs))
 
@@ -309,7 +309,7 @@ def test_only_links_that_are_no_neighbours_are_kept_apart(monkeypatch):
         "hybrid.excitation.clearance.capsules_from_robot", lambda _: capsules
     )
     kept = Clearance.of(robot, Limits.of(robot))
-    assert kept.pairs.tolist() == [[-1, 1], [-1, 2], [0, 2]]
+    assert kept.links.tolist() == [[-1, 1], [-1, 2], [0, 2]]
 
 
 def hanging(radius=0.05):
@@ -339,7 +339,7 @@ def test_a_floor_is_below_both_ends_of_every_moving_link_by_its_radius():
 
 def test_links_are_as_far_apart_as_their_closest_points_less_both_radii():
     q = np.random.default_rng(1).uniform(-1.0, 1.0, (9, 3))
-    pairs = np.array([[-1, 1], [0, 2]])
+    pairs = np.array([[0, 2], [1, 3]])
     kept = Clearance(pendulum(3), hanging(), pairs, 0.02)
     share = np.linspace(0.0, 1.0, 201)[:, None, None]
 
@@ -399,7 +399,7 @@ def test_a_link_without_geometry_is_named_where_it_was_asked_for(monkeypatch, re
         "hybrid.excitation.clearance.capsules_from_robot", lambda _: few
     )
     found = Clearance.of(pendulum(3), Limits.of(pendulum(3)), margin=-1.0)
-    assert found.pairs.tolist() == [[-1, 2], [0, 2]]
+    assert found.links.tolist() == [[-1, 2], [0, 2]]
     (said,) = recwarn
     words = "not kept apart, without collision geometry: hinge_1"
     assert (str(said.message), said.filename) == (words, __file__)

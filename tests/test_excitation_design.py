@@ -51,7 +51,7 @@ def solving(monkeypatch, module, found):
         known = None if curvature is None else curvature[0, 0]
         assert (known is None) == (sum(s[0] == "solve" for s in program.seen) <= 3)
         value, excess = found(float(x[0]))
-        return Optimum(x, value, excess, np.full((1, 1), x[0]), 1, True)
+        return Optimum(x, value, excess, np.full((1, 1), x[0]))
 
     monkeypatch.setattr(module, "solve", solve)
 

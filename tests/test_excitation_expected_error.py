@@ -33,7 +33,7 @@ def random_paths(count: int, seed: int):
         OBSERVATION, Condition(), FAMILY, kept, limits, nothing, 10.0, 1.0, 1e-3
     )
     rng = np.random.default_rng(seed)
-    points = [program.random(rng, fill=1.0) for _ in range(count)]
+    points = [program._random(rng, 1.0) for _ in range(count)]
     return [program.grid.path(program.coefficients(x)) for x in points]
 
 

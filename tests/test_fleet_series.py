@@ -113,7 +113,7 @@ def test_an_arm_among_few_stands_where_its_baseline_and_its_values_say(arms):
     for k, x in enumerate(found):
         count = WEEKS - (k == 0)
         assert x.pooled == pytest.approx(2.3 + 3.0 * k) and not x.unlike
-        assert x.pooled_std == pytest.approx(0.1 / np.sqrt(count))
+        assert x.level.std == pytest.approx(0.1 / np.sqrt(count))
         assert x.baseline == pytest.approx(2.0 + 3.0 * k)
         assert x.limit == pytest.approx(0.5 * x.baseline)
         assert len(x.days) == len(x.values) == count

@@ -153,6 +153,11 @@ def test_of_two_memories_the_short_one_is_sooner_and_the_long_one_sees_more():
 # --- the recursive filter -------------------------------------------------------------
 
 
+def update(to, H, error, forgetting=1.0):
+    for _ in to.update(to.project(H), error, forgetting):
+        pass
+
+
 def test_without_forgetting_it_is_the_regression_of_all_rows():
     rng = np.random.default_rng(2)
     root = rng.normal(size=(4, 4))
@@ -160,7 +165,7 @@ def test_without_forgetting_it_is_the_regression_of_all_rows():
     to = SquareRootFilter(mean, root)
     H, y = rng.normal(size=(30, 2, 4)), rng.normal(size=(30, 2))
     for h, x in zip(H, y, strict=True):
-        to.update(h, x - h @ to.mean)
+        update(to, h, x - h @ to.mean)
     X, x = H.reshape(-1, 4), y.ravel()
     A = np.linalg.inv(P) + X.T @ X
     expected = np.linalg.solve(A, np.linalg.solve(P, mean) + X.T @ x)
@@ -175,7 +180,7 @@ def test_with_forgetting_it_settles_at_a_share_of_the_noise_and_never_grows(star
     to = SquareRootFilter(np.zeros(2), np.sqrt(start) * np.eye(2))
     H = np.array([[2.0, 0.0]])
     for _ in range(2000):
-        to.update(H, np.array([1.0]), 0.98)
+        update(to, H, np.array([1.0]), 0.98)
     expected = min(start, 0.02 / 4.0)
     np.testing.assert_allclose(to.covariance, np.diag([expected, start]), rtol=1e-6)
 
@@ -214,7 +219,7 @@ def at_first(**values):
         Coulomb((0,), {"level": values.get("coulomb", 0.0)}),
     ]
     problem = build_problem(robot.chain, effects)
-    return InitialEstimate(robot, problem, robot.chain.inertial, 0.5, 0.0), problem
+    return InitialEstimate(problem, joint_scales(robot), 0.5, 0.0), problem
 
 
 def test_links_and_gains_are_as_uncertain_as_a_share_of_their_size():
@@ -234,7 +239,7 @@ def test_links_and_gains_are_as_uncertain_as_a_share_of_their_size():
 def test_a_weightless_link_is_as_uncertain_as_a_flange():
     robot = pendulum().with_inertial(np.zeros((1, 10)))
     problem = build_problem(robot.chain, [])
-    first = InitialEstimate(robot, problem, robot.chain.inertial, 1.0, 0.0)
+    first = InitialEstimate(problem, joint_scales(robot), 1.0, 0.0)
     sizes = np.array([0.1, *3 * [0.01], *6 * [0.001]])
     directions = problem.base.mapping * sizes
     np.testing.assert_allclose(first.root @ first.root.T, directions @ directions.T)
@@ -269,7 +274,7 @@ def test_a_gain_that_is_usually_zero_is_as_uncertain_as_a_tenth_of_its_bounds():
         (Viscous((0,)), {"coefficient": 0.1 / scale.speed}),
     ):
         problem = build_problem(robot.chain, [effect])
-        first = InitialEstimate(robot, problem, robot.chain.inertial, 1.0, 0.0)
+        first = InitialEstimate(problem, joint_scales(robot), 1.0, 0.0)
         names = [effect.gains[g].name for _, g in problem.columns]
         usual = [expected[x] * scale.torque for x in names]
         np.testing.assert_allclose(first._gain_sizes(), usual)

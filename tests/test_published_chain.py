@@ -101,7 +101,8 @@ def planar():
     laws += [Viscous((j,), {"coefficient": 0.5}) for j in range(2)]
     size = Scale(60.0, 2.0)
     hidden = unmodelled([size, size], np.random.default_rng(0))
-    quiet = Noise.correlated(np.full(2, 0.05), 0.3)
+    covariance = 0.05**2 * np.array([[1.0, 0.3], [0.3, 1.0]])
+    quiet = replace(Noise.typical(robot), torque_covariance=covariance)
     logs = simulate(robot, [*laws, *hidden], trajectories=6, seed=1, noise=quiet)
     chain = published_chain(robot, logs[:4])
     last = chain.models["published, iterated"]

@@ -89,7 +89,7 @@ def test_a_calibration_draws_each_correction_with_its_interval():
     places = measured(disturbed(arm.chain), q, "position", noise=1e-5)
     found = calibrate(arm, places)
     frame = found.to_frame()
-    np.testing.assert_array_equal(frame["low"], found.interval()[0])
+    np.testing.assert_array_equal(frame["low"], found.solution.interval()[0])
     assert len(found.plot().get_xticks()) == len(frame)
     assert "<td>mm</td>" in found._repr_html_()
 

@@ -30,7 +30,7 @@ from hybrid.effects import effect_classes, effect_from_dict
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.files import write_json
 from hybrid.fleets.run import answers, connected
-from hybrid.fleets.serving import serve
+from hybrid.fleets.worker import serve
 from hybrid.recording import Recording, read_all
 from hybrid.robot import Robot
 

@@ -16,13 +16,9 @@ IDENTITY = FixedStep(np.eye(3), np.zeros(3))
 def align(
     flange: Frame, data: Measurements, *, base: bool = True, tool: bool = True
 ) -> tuple[FixedStep, tuple[FixedStep, ...], Array]:
-    """Estimate base and tool frames, or stations, with the nominal arm.
+    """Estimate base and tool frames, or stations, from nominal poses of the flange.
 
-    Args:
-        flange: Nominal pose of the flange in the base frame, N samples.
-        data: Measurements in these poses.
-        base: Whether the base is unknown; else it is the instrument's frame.
-        tool: Whether the tool is unknown; else it is the flange.
+    A known base is the instrument's frame, and a known tool the flange.
 
     Returns:
         Base of the arm in the instrument's frame, frame of each measured point in the

@@ -16,9 +16,9 @@ from hybrid.calibration.geometry import (
     geometry_from_chain,
 )
 from hybrid.calibration.measurements import Measurements
-from hybrid.calibration.model import KinematicModel, Steps, station_labels
-from hybrid.calibration.solve import KinematicSolution, Rejected, solve
-from hybrid.calibration.steps import follow, free_frame, start
+from hybrid.calibration.model import KinematicModel, Steps
+from hybrid.calibration.solve import KinematicSolution, solve
+from hybrid.calibration.steps import FixedStep, follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError, RobotError, warn
 from hybrid.parameters import Parameter
@@ -50,16 +50,14 @@ class Setup:
         geometry: Its axes as Denavit-Hartenberg rows.
         model: Kinematics from the instrument to the measured points, aligned.
         labels: Free parameters; of equivalent ones, the first is identified.
-        units: Units of the free parameters.
-        load: Torque of gravity on each joint, shape (N, n), [N·m]; None if not used.
+        load: Torque of gravity on each joint, shape (N, n), [N·m].
     """
 
     robot: Robot
     geometry: Geometry
     model: KinematicModel
     labels: tuple[str, ...]
-    units: tuple[str, ...]
-    load: Array | None
+    load: Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,21 +84,11 @@ class Calibration(Shown):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Corrections to the nominal arm, with standard deviations."""
-        units = dict(zip(self.setup.labels, self.setup.units, strict=True))
-        values = self.solution.values().items()
+        values, std = self.solution.values(), self.solution.std.tolist()
         return tuple(
-            Parameter(label, x, unit=units[label], std=float(std))
-            for (label, x), std in zip(values, self.solution.std, strict=True)
+            Parameter(label, x, unit=self.setup.model.units[label], std=own)
+            for (label, x), own in zip(values.items(), std, strict=True)
         )
-
-    def interval(self, level: float = 0.95) -> tuple[Array, Array]:
-        """Confidence limits of the corrections, shape (b,) each."""
-        return self.solution.interval(level)
-
-    @property
-    def rejected(self) -> tuple[Rejected, ...]:
-        """Outliers, which were left out."""
-        return self.solution.rejected
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
@@ -137,12 +125,8 @@ class Calibration(Shown):
     @property
     def stations(self) -> Array:
         """Stations of a distance meter in the base frame, shape (s, 3), [m]."""
-        nominal, values = self.setup.model.stations, self.solution.values()
-        shifts = [
-            [values.get(label, 0.0) for label in station_labels(j)]
-            for j in range(len(nominal))
-        ]
-        return np.asarray(nominal + np.array(shifts).reshape(nominal.shape))
+        found = [self._frame(steps)[1] for steps in self.setup.model.stations]
+        return np.array(found).reshape(-1, 3)
 
     def save(self, path: str | Path) -> None:
         """Write the robot's file with calibrated joint placements.
@@ -169,11 +153,9 @@ class Calibration(Shown):
 
     def errors(self, data: Measurements) -> dict[str, Array]:
         """Distance of model and measurement of each unit, by kind, [m or rad]."""
-        load = _load(self.setup.robot, data.q, self.setup.load is not None)
-        found = self.setup.model.blocks(
-            data, self.solution.labels, self.solution.x, load
-        )
-        return {b.name: np.linalg.norm(b.residual, axis=1) for b in found}
+        load, found = _load(self.setup.robot, data.q), self.solution
+        blocks = self.setup.model.blocks(data, found.labels, found.x, load)
+        return {b.name: np.linalg.norm(b.residual, axis=1) for b in blocks}
 
 
 def calibrate(
@@ -205,7 +187,6 @@ def calibrate(
         setup.model,
         data,
         setup.labels,
-        setup.units,
         frames=sum(_group(label) in ("base", "tool") for label in setup.labels),
         load=setup.load,
         robust=robust,
@@ -234,7 +215,7 @@ def build_setup(
     _check(robot, data, free)
     geometry = geometry_from_chain(robot.chain)
     flange = follow(start(data.q), geometry.steps, data.q, {})
-    place, frames, stations = align(
+    place, frames, places = align(
         flange, data, base="base" in free, tool="tool" in free
     )
     base: Steps = () if data.stations else (place, *free_frame("base"))
@@ -245,14 +226,16 @@ def build_setup(
         (tool, *free_frame(name, turns=data.rotation is not None))
         for name, tool in zip(names, frames, strict=True)
     )
+    stations: tuple[Steps, ...] = tuple(
+        (FixedStep(np.eye(3), x), *free_frame(f"station_{j + 1}", turns=False))
+        for j, x in enumerate(places)
+    )
     model = KinematicModel((*base, *geometry.steps), tools, stations)
     labels = sorted(
-        (x for x in model.labels if _group(x) in free or x.startswith("station_")),
+        (x for x in model.units if _group(x) in free or x.startswith("station_")),
         key=_rank,
     )
-    load = _load(robot, data.q, "compliance" in free)
-    units = tuple(_unit(label, robot) for label in labels)
-    return Setup(robot, geometry, model, tuple(labels), units, load)
+    return Setup(robot, geometry, model, tuple(labels), _load(robot, data.q))
 
 
 def observability_index(jacobian: Array, poses: int) -> float:
@@ -279,25 +262,10 @@ def _group(label: str) -> str:
     return _GROUP[label.split("_")[0]]
 
 
-def _unit(label: str, robot: Robot) -> str:
-    kind, _, rest = label.partition("_")
-    if kind == "compliance":
-        turns = robot.chain.revolute[robot.joints.index(rest)]
-        return "rad/(N·m)" if turns else "m/N"
-    if kind == "scale":
-        return ""
-    if _GROUP[kind] == "geometry":
-        return "m" if kind in ("a", "d") else "rad"
-    return "rad" if rest.split("_")[-1] in ("rx", "ry", "rz") else "m"
-
-
-def _load(robot: Robot, q: Array, wanted: bool) -> Array | None:
+def _load(robot: Robot, q: Array) -> Array:
     """Torque of gravity on each joint at rest, shape (N, n), [N·m]."""
-    if not wanted:
-        return None
     still = np.zeros_like(q)
-    held = inverse_dynamics(robot.chain, robot.chain.inertial, q, still, still)
-    return -held
+    return -inverse_dynamics(robot.chain, robot.chain.inertial, q, still, still)
 
 
 def _check(robot: Robot, data: Measurements, free: Collection[str]) -> None:

@@ -23,17 +23,11 @@ _SINGULAR = 1e-9  # share of a measurement's noise in its residual that counts a
 def clustered_covariance(
     jacobian: Array, residual: Array, pose: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Covariance of least-squares estimates, and the degrees of freedom of each.
+    """Covariance of estimates, (b, b), and degrees of freedom of each variance, (b,).
 
-    A direction that one pose alone determines has no residual; it gets unit noise.
-
-    Args:
-        jacobian: Derivatives over noise, shape (rows, b), of full rank; rows > b.
-        residual: Residuals over noise, shape (rows,).
-        pose: Pose of each row, shape (rows,).
-
-    Returns:
-        Covariance, shape (b, b), and degrees of freedom of each variance, shape (b,).
+    A direction that one pose alone determines has no residual; it gets unit noise. Each
+    row has derivatives, shape (rows, b), of full rank, and a residual, both over noise,
+    and a pose.
     """
     rows, size = jacobian.shape
     Q, R = np.linalg.qr(jacobian)

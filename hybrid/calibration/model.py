@@ -39,25 +39,23 @@ class KinematicModel:
     Attributes:
         steps: From the instrument's frame to the flange.
         tools: From the flange to each of the r measured points.
-        stations: Initial stations of a distance meter, shape (s, 3), [m]; their
-            corrections are named ``station_1_x`` and so on.
+        stations: From the base to each of the s stations of a distance meter.
     """
 
     steps: Steps
     tools: tuple[Steps, ...]
-    stations: Array
+    stations: tuple[Steps, ...] = ()
 
     @cached_property
-    def labels(self) -> tuple[str, ...]:
-        """Names of all parameters, in their order along the kinematics."""
-        found = [
-            step.parameter
-            for step in (*self.steps, *(step for tool in self.tools for step in tool))
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter by its name, in their order along the kinematics."""
+        found = {
+            step.parameter: step.unit
+            for steps in (self.steps, *self.tools, *self.stations)
+            for step in steps
             if isinstance(step, Step) and step.parameter
-        ]
-        for j in range(len(self.stations)):
-            found += station_labels(j)
-        return tuple(dict.fromkeys([*found, *["scale"] * (len(self.stations) > 0)]))
+        }
+        return found | ({"scale": ""} if self.stations else {})
 
     def frames(
         self,
@@ -66,13 +64,9 @@ class KinematicModel:
         load: Array | None = None,
         batch: tuple[int, ...] = (),
     ) -> list[Frame]:
-        """Frame at the end of each tool.
+        """Frame at the end of each tool, see :func:`follow`.
 
-        Args:
-            q: Joint positions, shape (N, n), [rad or m].
-            values: Parameters by name; absent ones are zero.
-            load: Load of each joint, shape (N, n), [N·m].
-            batch: (P,) if the values are arrays of that shape.
+        ``batch`` is (P,) if the values are arrays of that shape.
         """
         flange = follow(start(q, batch), self.steps, q, values, load)
         return [follow(flange, tool, q, values, load) for tool in self.tools]
@@ -86,16 +80,15 @@ class KinematicModel:
     ) -> list[Block]:
         """Residuals and their derivatives, without missing measurements.
 
-        Args:
-            data: N measured poses.
-            labels: Names of the free parameters, length p.
-            x: Their values, shape (p,).
-            load: Load of each joint, shape (N, n), [N·m].
+        The free parameters have labels, length p, and values, shape (p,); each joint
+        has a load, shape (N, n), [N·m].
         """
         values = dict(zip(labels, x.tolist(), strict=True))
         frames = self.frames(data.q, values, load)
         if data.distance is not None:
-            return [self._distances(data.distance, frames[0], labels, values)]
+            stations = [follow(start(data.q), x, data.q, values) for x in self.stations]
+            stretch = values.get("scale", 0.0)
+            return [_distances(data.distance, frames[0], stations, stretch, labels)]
         linear = [_velocities(frame, labels)[0] for frame in frames]
         residual = np.stack([frame.origin for frame in frames], axis=1) - data.position
         blocks = [_block("position", residual, np.stack(linear, axis=1))]
@@ -104,47 +97,40 @@ class KinematicModel:
             blocks.append(_orientations(data.rotation, frames[0].rotation, angular))
         return blocks
 
-    def _distances(
-        self, measured: Array, frame: Frame, labels: Sequence[str], values: Values
-    ) -> Block:
-        linear = _velocities(frame, labels)[0]  # (N, 3, p)
-        stretch = 1.0 + values.get("scale", 0.0)
-        residual = np.empty((*measured.shape, 1))
-        jacobian = np.zeros((*measured.shape, 1, len(labels)))
-        for j, nominal in enumerate(self.stations):
-            names = station_labels(j)
-            at = nominal + np.array([values.get(name, 0.0) for name in names])
-            between = frame.origin - at
-            length = np.linalg.norm(between, axis=1)
-            toward = between / length[:, None]
-            residual[:, j, 0] = stretch * length - measured[:, j]
-            jacobian[:, j, 0] = stretch * np.einsum("nc,ncp->np", toward, linear)
-            for c, name in enumerate(names):
-                if name in labels:
-                    jacobian[:, j, 0, labels.index(name)] -= stretch * toward[:, c]
-            if "scale" in labels:
-                jacobian[:, j, 0, labels.index("scale")] = length
-        return _block("distance", residual, jacobian)
 
-
-def station_labels(j: int) -> list[str]:
-    """Names of the coordinates of station j, ``station_1_x`` to ``_z`` for 0."""
-    return [f"station_{j + 1}_{axis}" for axis in "xyz"]
+def _distances(
+    measured: Array,
+    tool: Frame,
+    stations: Sequence[Frame],
+    scale: float,
+    labels: Sequence[str],
+) -> Block:
+    """Block of the distances of a tool from stations, shape (N, s)."""
+    linear = _velocities(tool, labels)[0]  # (N, 3, p)
+    residual = np.empty((*measured.shape, 1))
+    jacobian = np.empty((*measured.shape, 1, len(labels)))
+    for j, station in enumerate(stations):
+        between = tool.origin - station.origin
+        length = np.linalg.norm(between, axis=1)
+        way = (1.0 + scale) * between / length[:, None]
+        moves = linear - _velocities(station, labels)[0]
+        residual[:, j, 0] = (1.0 + scale) * length - measured[:, j]
+        jacobian[:, j, 0] = np.einsum("nc,ncp->np", way, moves)
+        if "scale" in labels:
+            jacobian[:, j, 0, labels.index("scale")] = length
+    return _block("distance", residual, jacobian)
 
 
 def _velocities(frame: Frame, labels: Sequence[str]) -> tuple[Array, Array]:
     """Linear and angular velocity of a frame per parameter, shape (N, 3, p) each."""
     linear = np.zeros((*frame.origin.shape, len(labels)))
     angular = np.zeros_like(linear)
-    here = [k for k, label in enumerate(labels) if label in frame.screws]
+    here = [k for k, label in enumerate(labels) if label in frame.twists]
     if here:
-        screws = [frame.screws[labels[k]] for k in here]
-        axis = np.stack([screw.axis for screw in screws], axis=-1)  # (N, 3, p)
-        arm = frame.origin[..., None] - np.stack([s.origin for s in screws], axis=-1)
-        turns = np.array([screw.turns for screw in screws])
-        turned = np.cross(axis, arm, axis=-2)
-        linear[..., here] = np.where(turns, turned, axis)
-        angular[..., here] = np.where(turns, axis, 0.0)
+        twists = np.stack([frame.twists[labels[k]] for k in here], axis=-1)
+        moves, turns = np.split(twists, 2, axis=-2)  # (N, 3, p)
+        linear[..., here] = moves + np.cross(turns, frame.origin[..., None], axis=-2)
+        angular[..., here] = turns
     return linear, angular
 
 

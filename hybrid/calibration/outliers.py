@@ -27,12 +27,9 @@ def misfit(
 ) -> Array:
     """Size of each unit's residual over the bound of the outlier test, shape (U,).
 
-    Args:
-        residual: Residuals over noise, shape (U, c).
-        jacobian: Derivatives over noise, shape (U, c, b).
-        inverse: Covariance of the estimates from the kept units, shape (b, b).
-        kept: Units that the estimates are fitted to, shape (U,).
-        freedom: Degrees of freedom of the noise estimate.
+    Residuals, shape (U, c), and derivatives, (U, c, b), are over noise, whose estimate
+    has some degrees of freedom. ``inverse`` is the covariance of the estimates from the
+    kept units, shape (b, b).
     """
     size = residual.shape[1]
     H = jacobian @ inverse @ jacobian.swapaxes(1, 2)  # (U, c, c)

@@ -103,7 +103,8 @@ def _jacobians(robot: Robot, q: Array, kind: str, free: tuple[str, ...]) -> Arra
     zero = np.zeros(len(setup.labels))
     blocks = setup.model.blocks(data, setup.labels, zero, setup.load)
     J = np.concatenate([b.jacobian for b in blocks], axis=1) / USUAL_NOISE
-    reduced = base_parameters(J.reshape(-1, len(zero)), setup.labels, setup.units)
+    units = tuple(setup.model.units[label] for label in setup.labels)
+    reduced = base_parameters(J.reshape(-1, len(zero)), setup.labels, units)
     return J[..., list(reduced.kept)]
 
 

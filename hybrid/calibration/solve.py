@@ -71,8 +71,7 @@ class KinematicSolution:
     @property
     def std(self) -> Array:
         """Standard deviation of each estimate, shape (b,)."""
-        std: Array = np.sqrt(np.diagonal(self.covariance))
-        return std
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
     def interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Confidence limits of the estimates, shape (b,) each."""
@@ -88,7 +87,6 @@ def solve(
     model: KinematicModel,
     data: Measurements,
     labels: Sequence[str],
-    units: Sequence[str],
     *,
     frames: int = 0,
     load: Array | None = None,
@@ -100,7 +98,6 @@ def solve(
         model: Kinematics from the instrument to the measured points.
         data: The measurements.
         labels: Free parameters; of equivalent ones, the first is estimated.
-        units: Units of the free parameters.
         frames: Number of first labels that place instrument and tool. They are fitted
             to the nominal arm first, because a tool on an axis would hide parameters.
         load: Load of each joint, shape (N, n), [N·m].
@@ -112,10 +109,10 @@ def solve(
     fit = _Fit(model, data, load)
     placed: dict[str, float] = {}
     if frames:
-        fit.reduce(tuple(labels[:frames]), tuple(units[:frames]), placed)
+        fit.reduce(labels[:frames], placed)
         x = fit.minimise(np.zeros(len(fit.labels)))
         placed = dict(zip(fit.labels, x.tolist(), strict=True))
-    reduced = fit.reduce(tuple(labels), tuple(units), placed)
+    reduced = fit.reduce(labels, placed)
     x = fit.minimise(np.array([placed.get(label, 0.0) for label in fit.labels]))
     if robust:
         x = fit.robust(x)
@@ -166,13 +163,10 @@ class _Fit:
         self._last: tuple[Array, list[Block]] | None = None
 
     def reduce(
-        self,
-        labels: tuple[str, ...],
-        units: tuple[str, ...],
-        values: Mapping[str, float],
+        self, labels: Sequence[str], values: Mapping[str, float]
     ) -> BaseParameters:
         """Keep the parameters that are identifiable at these values; 0 if absent."""
-        self.labels, self._last = labels, None
+        self.labels, self._last = tuple(labels), None
         x = np.array([values.get(label, 0.0) for label in labels])
         blocks = self.blocks(x)
         self.noise = {b.name: USUAL_NOISE for b in blocks}
@@ -180,7 +174,8 @@ class _Fit:
         jacobian = self.weighted(x)[1]
         if not len(jacobian):
             raise CalibrationError(f"{self.data.source}: nothing was measured")
-        reduced = base_parameters(jacobian, labels, units)
+        units = tuple(self.model.units[label] for label in labels)
+        reduced = base_parameters(jacobian, self.labels, units)
         self.rows = len(jacobian)
         if self.rows <= reduced.size:
             raise CalibrationError(

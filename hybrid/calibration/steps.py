@@ -1,7 +1,7 @@
 """A kinematic chain as a product of rotations about and shifts along x, y or z.
 
 All conventions of joint frames, such as the variants of Denavit-Hartenberg, are such
-products. The derivative of the pose by any factor is the screw of that factor: Corke
+products. The derivative of the pose by any factor is the twist of that factor: Corke
 2007, doi 10.1109/TRO.2007.896765.
 """
 
@@ -52,20 +52,12 @@ class Step:
     joint: int | None = None
     load: int | None = None
 
-
-@dataclass(frozen=True)
-class Screw:
-    """Derivative of the following frames by one parameter, for N samples.
-
-    Attributes:
-        axis: Direction, shape (..., N, 3); its length is the rate.
-        origin: A point on the axis of a rotation, shape (..., N, 3), [m].
-        turns: True for a rotation, False for a shift.
-    """
-
-    axis: Array
-    origin: Array
-    turns: bool
+    @property
+    def unit(self) -> str:
+        """Unit of the parameter."""
+        if self.load is None:
+            return "rad" if self.turns else "m"
+        return "rad/(N·m)" if self.turns else "m/N"
 
 
 @dataclass(frozen=True)
@@ -75,12 +67,13 @@ class Frame:
     Attributes:
         rotation: Shape (..., N, 3, 3).
         origin: Shape (..., N, 3), [m].
-        screws: Screw of each parameter of the factors, by name.
+        twists: Derivative by each parameter of the factors, by name: velocity of the
+            point at the first frame's origin, then rotation, shape (..., N, 6).
     """
 
     rotation: Array
     origin: Array
-    screws: Mapping[str, Screw] = field(default_factory=dict)
+    twists: Mapping[str, Array] = field(default_factory=dict)
 
 
 def start(q: Array, batch: tuple[int, ...] = ()) -> Frame:
@@ -97,18 +90,13 @@ def follow(
     values: Values,
     load: Array | None = None,
 ) -> Frame:
-    """The frame after more factors.
+    """The frame after more factors, at joint positions q (N, n), [rad or m].
 
-    Args:
-        frame: The first frame.
-        steps: Factors, in order.
-        q: Joint positions, shape (N, n), [rad or m].
-        values: Parameters by name; absent ones are zero. Values of shape (P,) are those
-            of P arms, if ``frame`` has that batch.
-        load: Load of each joint, shape (N, n); without it, steps with a load are left
-            out.
+    Parameters without a value are zero. Values of shape (P,) are those of P arms, if
+    ``frame`` has that batch. Each joint has a load, shape (N, n); without it, steps
+    with a load are left out.
     """
-    R, origin, screws = frame.rotation, frame.origin, dict(frame.screws)
+    R, origin, twists = frame.rotation, frame.origin, dict(frame.twists)
     for step in steps:
         if isinstance(step, FixedStep):
             origin = origin + R @ step.translation
@@ -119,8 +107,9 @@ def follow(
         axis = R[..., step.axis]
         rate = 1.0 if step.load is None or load is None else load[:, step.load]
         if step.parameter:
-            screw = axis * np.asarray(rate)[..., None]
-            screws[step.parameter] = Screw(screw, origin, step.turns)
+            way = axis * np.asarray(rate)[..., None]
+            both = (np.cross(origin, way), way) if step.turns else (way, 0 * way)
+            twists[step.parameter] = np.concatenate(both, axis=-1)
         value = np.asarray(values.get(step.parameter, 0.0), dtype=float)
         size = step.nominal + value[..., None] * rate
         if step.joint is not None:
@@ -129,7 +118,7 @@ def follow(
             R = _turned(R, step.axis, size)
         else:
             origin = origin + axis * size[..., None]
-    return Frame(R, origin, screws)
+    return Frame(R, origin, twists)
 
 
 def _turned(R: Array, axis: int, angle: Array) -> Array:

@@ -123,7 +123,7 @@ def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
     screen.show(errors_table(errors), corrections_table(calibration))
     for text in calibration.unidentifiable:
         screen.say(f"unidentifiable: {text}")
-    for x in calibration.rejected:
+    for x in calibration.solution.rejected:
         unit = "rad" if x.kind == "orientation" else "m"
         screen.say(f"left out: {x.kind} of pose {x.pose + 1}, {x.size:.2g} {unit} off")
     screen.say(f"robot: {written}, with {summary.name}")

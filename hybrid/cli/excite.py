@@ -22,7 +22,7 @@ from hybrid.excitation import (
 )
 from hybrid.excitation.constraints import Constraint
 from hybrid.excitation.criteria import Criterion
-from hybrid.excitation.folder import DESIGN, reference_paths
+from hybrid.excitation.design import DESIGN, reference_paths
 from hybrid.plant.noise import Noise
 from hybrid.report import save_figure
 from hybrid.report.excitation import information_figure, motion_figure, postures_figure

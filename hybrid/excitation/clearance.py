@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -27,12 +28,14 @@ _JOINED = 0.95  # share of postures in contact above which a pair is joined by d
 class Clearance(Constraint):
     """A least distance between links that are not neighbours.
 
-    Capsules cover the geometry of the links, so their distance is a lower bound.
+    Capsules cover the geometry of the links, so their distance is a lower bound. Each
+    pair of capsules is one condition: the distance of two links is not smooth where
+    other capsules become the closest ones, which would stop the solver.
 
     Attributes:
         robot: The arm.
         capsules: Capsules that cover its links and its base.
-        pairs: Links to keep apart, −1 for the base, shape (K, 2).
+        pairs: Capsules to keep apart, shape (K, 2).
         margin: Least distance, [m].
     """
 
@@ -62,37 +65,29 @@ class Clearance(Constraint):
         if bare := [x for k, x in enumerate(robot.joints) if k not in links]:
             text = f"not kept apart, without collision geometry: {', '.join(bare)}"
             warn(text)
-        pairs = [(i, j) for i in links for j in links if j > i + 1]
-        all_pairs = cls(robot, capsules, np.array(pairs).reshape(-1, 2), margin)
+        own = {i: np.flatnonzero(capsules.link == i) for i in links.tolist()}
+        apart = [list(product(own[i], own[j])) for i in own for j in own if j > i + 1]
+        pairs = np.array([x for both in apart for x in both], dtype=np.intp)
+        every = cls(robot, capsules, pairs.reshape(-1, 2), margin)
         q = np.random.default_rng(0).uniform(
             limits.low, limits.high, (_POSTURES, robot.size)
         )
-        share = (all_pairs.distance(q) < margin).mean(axis=0)
-        kept = cls(robot, capsules, all_pairs.pairs[share <= _MOST_CONTACT], margin)
+        # Two links touch where any of their capsules do.
+        sizes = [len(both) for both in apart]
+        parts = np.split(every.distance(q) < margin, np.cumsum(sizes), axis=1)
+        share = np.repeat([x.any(axis=1).mean() for x in parts], [*sizes, 0])
         often = (share > _MOST_CONTACT) & (share < _JOINED)
         if often.any():
-            left_out = replace(kept, pairs=all_pairs.pairs[often]).names
+            left_out = replace(every, pairs=every.pairs[often]).names
             named = ", ".join(x.split("links of ")[1] for x in dict.fromkeys(left_out))
             text = f"not kept apart, as their capsules touch too often: {named}"
             warn(text)
-        return kept
+        return replace(every, pairs=every.pairs[share <= _MOST_CONTACT])
 
-    @cached_property
-    def _rows(self) -> tuple[Index, Index, Index]:
-        """First and second capsule and pair of links of each condition, shape (M,).
-
-        Each pair of capsules is one condition. The distance of two links is not smooth
-        where other capsules become the closest ones, which would stop the solver.
-        """
-        link = self.capsules.link
-        rows = [
-            (first, second, k)
-            for k, (i, j) in enumerate(self.pairs)
-            for first in np.flatnonzero(link == i)
-            for second in np.flatnonzero(link == j)
-        ]
-        first, second, pair = np.array(rows, dtype=np.intp).reshape(-1, 3).T
-        return first, second, pair
+    @property
+    def links(self) -> Index:
+        """Links of each pair, −1 for the base, shape (K, 2)."""
+        return np.asarray(self.capsules.link[self.pairs])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -100,24 +95,25 @@ class Clearance(Constraint):
         joints = ("base", *self.robot.joints)
         return tuple(
             f"closeness of the links of {joints[i + 1]} and {joints[j + 1]}"
-            for i, j in self.pairs[self._rows[2]]
+            for i, j in self.links
         )
 
     def distance(self, q: Array) -> Array:
-        """Least distance of each pair, negative where capsules overlap, (N, K), [m]."""
-        pair = self._rows[2]
-        distances = self._distances(q)
-        own = [distances[:, pair == k].min(axis=1) for k in range(len(self.pairs))]
-        return np.stack(own, axis=1) if own else np.zeros((len(q), 0))
+        """Distance of each pair, negative where capsules overlap, (N, K), [m]."""
+        first, second = self.pairs.T
+        ends = ends_in_world(self.robot.chain, self.capsules, q)
+        x, y = closest_points(ends[:, first], ends[:, second])
+        radius = self.capsules.radius[first] + self.capsules.radius[second]
+        return np.asarray(np.sqrt(_dot(x - y, x - y)) - radius)
 
     def excess(self, path: Path) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
-        return np.asarray((self.margin - self._distances(path.q)) / _LENGTH)
+        return np.asarray((self.margin - self.distance(path.q)) / _LENGTH)
 
     def slope(self, path: Path, which: Index) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
         chain, capsules, q = self.robot.chain, self.capsules, path.q
-        first, second = (x[which] for x in self._rows[:2])
+        first, second = self.pairs[which].T
         ends, rows = ends_in_world(chain, capsules, q), np.arange(len(which))
         x, y = closest_points(ends[rows, first], ends[rows, second])
         away = x - y
@@ -127,14 +123,6 @@ class Clearance(Constraint):
         out = np.zeros((len(which), 4, self.robot.size))
         out[:, 0] = -change / _LENGTH
         return out
-
-    def _distances(self, q: Array) -> Array:
-        """Distance of the two capsules of each condition, shape (N, M), [m]."""
-        first, second, _ = self._rows
-        ends = ends_in_world(self.robot.chain, self.capsules, q)
-        x, y = closest_points(ends[:, first], ends[:, second])
-        radius = self.capsules.radius[first] + self.capsules.radius[second]
-        return np.asarray(np.sqrt(_dot(x - y, x - y)) - radius)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +190,8 @@ def point_change(
 ) -> Array:
     """Derivative by the joint positions of points along a direction, shape (N, n).
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        link: Link of the points, −1 for the base; one for all, or shape (N,).
-        point: Points in the base frame, shape (N, 3), [m].
-        direction: Direction in the base frame, shape (N, 3).
+    The points, of one link or of one each (−1 for the base), and their directions have
+    the shape (N, 3), in the base frame.
     """
     out = np.zeros_like(q)
     _, origin, axis = frames(chain, q)

@@ -33,14 +33,9 @@ class Constraint(Protocol):
         """
 
     def slope(self, path: Path, which: Index) -> Array:
-        """Derivative of one condition's excess in each sample.
+        """Derivative of the excess of one condition in each sample, shape (N, 4, n).
 
-        Args:
-            path: Samples, N of them.
-            which: Index of the condition in each sample, shape (N,).
-
-        Returns:
-            Derivatives by position, speed, acceleration and jerk, shape (N, 4, n).
+        It is by position, speed, acceleration and jerk; ``which`` has the shape (N,).
         """
 
 

@@ -26,9 +26,7 @@ class Criterion(Protocol):
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """Logarithm of the measure, and its derivative by G, shape (b, b).
 
-        Args:
-            gram: Information, shape (b, b).
-            power: A larger one is nearer to the measure, but less smooth.
+        A larger power is nearer to the measure, but less smooth.
         """
 
 

@@ -1,5 +1,6 @@
 """Design of excitation motions, with verified limits and predicted standard errors."""
 
+import csv
 import pathlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,15 +21,16 @@ from hybrid.excitation.constraints import (
 )
 from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition
 from hybrid.excitation.expected_error import ExpectedError
-from hybrid.excitation.folder import DESIGN, reference_paths, write_reference
 from hybrid.excitation.observation import Observation, rigid_conditions
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, solve
-from hybrid.files import atomic_folder, write_json
+from hybrid.files import atomic_folder, atomic_path, write_json
+from hybrid.plant.reference import Reference
 from hybrid.robot.robot import Robot
 from hybrid.shown import Shown
 
+DESIGN = "design.json"
 # Power of the criterion and iterations: for each start, then for the best of them. A
 # large power too early leads to a worse minimum.
 _EXPLORE = (4.0, 80)
@@ -309,3 +311,27 @@ def _infeasible(excess: Mapping[str, float]) -> str:
         f"no motion within the limits was found; the best one exceeds the {named}. "
         "Valid are wider limits or a longer motion"
     )
+
+
+def reference_paths(folder: pathlib.Path, count: int) -> list[pathlib.Path]:
+    """Files of the references of a design: ``reference_1.csv`` and so on."""
+    return [folder / f"reference_{k + 1}.csv" for k in range(count)]
+
+
+def write_reference(
+    path: str | pathlib.Path, reference: Reference, joints: tuple[str, ...]
+) -> None:
+    """Write a reference: time [s], then q [rad], v [rad/s] and a [rad/s²].
+
+    Columns are ``t``, ``q_<joint>``, ``v_<joint>``, ``a_<joint>``.
+    """
+    header = ["t", *(f"{x}_{name}" for x in "qva" for name in joints)]
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        rows = zip(reference.t, reference.q, reference.v, reference.a, strict=True)
+        for t, *states in rows:
+            writer.writerow([f"{x:.10g}" for x in (t, *(y for s in states for y in s))])

@@ -85,11 +85,7 @@ class Observation:
         return np.asarray(W.T @ W)
 
     def gradient(self, path: Path, weight: Array) -> tuple[Array, Array, Array]:
-        """Derivatives of ``sum(weight * matrix(path))`` by the motion.
-
-        The weight has the shape (N, n, b), and the derivatives by q, v and a (N, n)
-        each.
-        """
+        """Derivatives of ``sum(weight * matrix(path))`` by q, v and a, (N, n) each."""
         rigid, gains = self._kept
         seed = self.whitening.T @ weight * self.scale
         n = self.chain.size
@@ -200,11 +196,7 @@ def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
 
     ``first independent columns`` goes from base to tip and keeps each column that does
     not depend on those before, the same for every motion. ``columns by pivoted QR``
-    always takes the largest remaining one.
-
-    Args:
-        chain: The arm.
-        H: Observation matrix of all columns, shape (rows, 10n).
+    always takes the largest remaining one of the observation matrix H, (rows, 10n).
     """
     kept = stacked_base(chain, (), ()).kept
     _, order = qr(H, mode="r", pivoting=True)

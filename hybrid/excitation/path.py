@@ -130,8 +130,7 @@ class Grid:
     def gradient(self, *by: Array) -> Array:
         """Derivatives by the coefficients, shape (m, n), from those by the samples.
 
-        Args:
-            by: Derivatives by q, v, a and jerk, or the first of them, shape (N, n).
+        These are by q, v, a and jerk, or the first of them, shape (N, n) each.
         """
         pairs = zip(self.bases, by, strict=False)
         return np.asarray(sum(basis.T @ x for basis, x in pairs))

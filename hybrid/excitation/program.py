@@ -95,14 +95,12 @@ class MotionProgram:
             ((trajectory.coefficients - self.middle) / self.scale).ravel()
         )
 
-    def random(self, rng: np.random.Generator, *, fill: float = 0.8) -> Array:
-        """Random motions about random postures as a start, shape (T·m·n,).
-
-        They fill a share of the joint limits, or less if other limits are tighter.
-        """
-        return np.concatenate([self._random(rng, fill) for _ in range(self.count)])
+    def random(self, rng: np.random.Generator) -> Array:
+        """Random motions about random postures as a start, shape (T·m·n,)."""
+        return np.concatenate([self._random(rng, 0.8) for _ in range(self.count)])
 
     def _random(self, rng: np.random.Generator, fill: float) -> Array:
+        """One motion; it fills a share of the joint limits, or less for the others."""
         x = rng.standard_normal(self.scale.shape)
         for j in range(x.shape[1]):
             path = self.fine.bases @ (self.scale[:, j] * x[:, j])  # (4, N)

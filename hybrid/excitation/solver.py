@@ -32,16 +32,12 @@ class Optimum:
         value: Objective at ``x``.
         excess: Largest excess at ``x``.
         curvature: Approximate Hessian, shape (d, d).
-        iterations: Number of steps tried.
-        converged: Whether no step promised a decrease.
     """
 
     x: Array
     value: float
     excess: float
     curvature: Array
-    iterations: int
-    converged: bool
 
 
 def solve(
@@ -52,27 +48,23 @@ def solve(
     curvature: Array | None = None,
     penalty: float = PENALTY,
 ) -> Optimum:
-    """Minimise from a start, which may violate the conditions.
+    """Minimise from a start (d,), of order 1, which may violate the conditions.
 
-    Coordinates, shape (d,), are of order 1. The initial Hessian, shape (d, d), may be
-    that of a similar program. The penalty weighs the largest excess.
+    The initial Hessian, shape (d, d), may be that of a similar program. The penalty
+    weighs the largest excess.
     """
     reach = _FIRST_REACH
     B = np.eye(len(x)) if curvature is None else curvature
     value, gradient = program.objective(x)
     excess = max(0.0, program.excess(x))
     limits, slopes = program.conditions(x)
-    converged = False
-    tried = 0
-    while tried < iterations and not converged:
-        tried += 1
+    for _ in range(iterations):
         step = quadratic_program(B, gradient, limits, slopes, reach, penalty)
         left = (limits + slopes @ step).max(initial=0.0)
         predicted = penalty * (max(excess, limits.max(initial=0.0)) - left)
         predicted -= gradient @ step + 0.5 * step @ B @ step
         if predicted < _ENOUGH or reach < _LEAST_REACH:
-            converged = True
-            continue
+            break
         new_value, new_gradient = program.objective(x + step)
         new_excess = max(0.0, program.excess(x + step))
         B = _updated(B, step, new_gradient - gradient)
@@ -84,7 +76,7 @@ def solve(
             reach /= 2
         elif gain > 0.7 * predicted and np.abs(step).max() > 0.9 * reach:
             reach = min(2 * reach, _MOST_REACH)
-    return Optimum(x, value, excess, B, tried, converged)
+    return Optimum(x, value, excess, B)
 
 
 def quadratic_program(

@@ -102,13 +102,10 @@ def _scores(t: Array, y: Array, s: Array, x: Array | None) -> tuple[Array, Array
 
 
 def threshold(count: int, days: float, series: int, false_alarms: float) -> float:
-    """Score above which an alarm is raised.
+    """Score above which an alarm is raised, after a count of periods of some days.
 
-    Args:
-        count: Number of periods.
-        days: Length of a period, [d].
-        series: Number of parameters monitored at each arm.
-        false_alarms: Expected false alarms in 100 arm-months.
+    ``series`` parameters of each arm are monitored, and ``false_alarms`` are expected
+    in 100 arm-months.
     """
     count = int(np.clip(count, _FEWEST, _LOOK_BACK))
     rate = min(0.5, false_alarms / 100 * count * days / MONTH / series)
@@ -140,13 +137,9 @@ def changes(
 ) -> Iterator[Change]:
     """Changes of one series, in order of time.
 
-    Args:
-        t: Days of the periods, shape (N,), [d].
-        y: Values, shape (N,).
-        s: Standard deviations of the values, shape (N,).
-        limit: Score of an alarm, see :func:`threshold`.
-        degrees: Degrees of freedom of the standard deviations.
-        x: Covariate on which the values may depend, shape (N,), or None.
+    At days t of N periods it has the values y and their standard deviations s, with
+    some degrees of freedom; the values may depend on a covariate x. ``limit`` is the
+    score of an alarm, see :func:`threshold`.
     """
     # The limit of the same probability for scores with an estimated variance.
     limit = -float(stdtrit(max(degrees, 1.0), float(ndtr(-limit))))

@@ -25,6 +25,7 @@ from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
+from hybrid.robot.spatial import inertial_about
 from hybrid.signals import Motion, Sampler, autocorrelation_time
 
 _FROM_TOOL = 0.05  # m, distance of a payload's centre from the tool, and its size
@@ -105,14 +106,10 @@ def deviations(
     track: Sequence[str],
     tool: Sequence[float] = (),
 ) -> list[Deviation]:
-    """Deviations of an arm from its baseline; the logs are checked against physics.
+    """Deviations of an arm from its baseline, from the logs of one period.
 
-    Args:
-        model: The baseline.
-        recordings: Logs of one period.
-        track: Tracked effects or gains, see :func:`followed`.
-        tool: Position of a payload in the last joint's frame, [m]; the centre of mass
-            of the last link by default.
+    Effects or gains are tracked, see :func:`followed`. A payload has the position of
+    the tool in the last joint's frame, [m], or of the last link's centre of mass.
 
     Raises:
         HybridError: A log contradicts physics, or is too short.
@@ -185,13 +182,10 @@ def _payload_covariance(
     """Covariance (10, 10) of the parameters of a body of some mass near the tool."""
     link = model.robot.chain.inertial[-1]
     center = np.array(tool) if len(tool) else link[1:4] / max(link[0], 1e-9)
-    c = center + _FROM_TOOL * np.random.default_rng(0).standard_normal((_DRAWS, 3))
-    x, y, z = c.T
-    size = _FROM_TOOL**2  # the body's own inertia per mass
-    inertia = [y**2 + z**2 + size, -x * y, x**2 + z**2 + size,
-               -x * z, -y * z, x**2 + y**2 + size]  # fmt: skip
-    each = mass * np.stack([np.ones(len(c)), x, y, z, *inertia], axis=1)
-    return np.asarray(each.T @ each / len(each))
+    draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
+    own = mass * _FROM_TOOL**2 * np.eye(3)
+    each = np.array([inertial_about(mass, center + _FROM_TOOL * x, own) for x in draws])
+    return np.asarray(each.T @ each / _DRAWS)
 
 
 def _filtered_rows(

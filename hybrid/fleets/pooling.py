@@ -24,12 +24,10 @@ class Pooled:
 
     Attributes:
         value: Estimate of each arm, shape (A,).
-        std: Standard deviation of the estimate, shape (A,).
         unlike: True for outliers, shape (A,).
     """
 
     value: Array
-    std: Array
     unlike: NDArray[np.bool_]
 
 
@@ -37,11 +35,8 @@ def pooled(y: Array, s: Array) -> Pooled:
     """Pool the values of A arms; outliers are removed one by one.
 
     An arm is compared with the distribution of all others, at a level for all arms
-    together (Holm). An outlier keeps its own value.
-
-    Args:
-        y: Values, shape (A,).
-        s: Standard deviations of the values, shape (A,), above zero.
+    together (Holm). An outlier keeps its own value. Values and their standard
+    deviations, above zero, have the shape (A,).
     """
     unlike = np.zeros(len(y), dtype=bool)
     while (~unlike).sum() >= FEWEST:
@@ -51,10 +46,9 @@ def pooled(y: Array, s: Array) -> Pooled:
         if p[worst] * len(rest) >= _FALSE_RATE:
             break
         unlike[rest[worst]] = True
-    mean, spread, error = _mean_and_spread(y[~unlike], s[~unlike])
+    mean, spread, _ = _mean_and_spread(y[~unlike], s[~unlike])
     weight = np.where(unlike, 1.0, spread**2 / (spread**2 + s**2))
-    std = np.sqrt(weight * s**2 + (1 - weight) ** 2 * error**2)
-    return Pooled(weight * y + (1 - weight) * mean, std, unlike)
+    return Pooled(weight * y + (1 - weight) * mean, unlike)
 
 
 def _p_value(y: Array, s: Array, rest: NDArray[np.intp], k: int) -> float:

@@ -97,11 +97,8 @@ def answers(
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
     """Send messages to the workers, and yield name and answer as they arrive.
 
-    Args:
-        client: Client of the cluster.
-        jobs: Name, message and baseline of each job.
-        limit: Longest time for one job, [s].
-        module: Module that answers, see :func:`hybrid.fleets.serving.serve`.
+    A job has a name, a message and a baseline, and takes no longer than ``limit``, [s].
+    The module answers, see :func:`hybrid.fleets.worker.serve`.
     """
     from distributed import as_completed
 

@@ -27,10 +27,8 @@ def calibrated_std(parameters: Sequence[tuple[Array, Array]]) -> list[Array]:
 
     The stated ones come from one period alone. Their deviation from the arm's mean, in
     logarithms, is multiplied by an exponent from 0 to 1: the regression coefficient of
-    the logarithms of squared differences, over all parameters.
-
-    Args:
-        parameters: Values and standard deviations of each, shape (A, T).
+    the logarithms of squared differences, over all parameters. Each has values and
+    standard deviations, shape (A, T).
     """
     mean, std = _EXPONENT
     weight = _LOG_SQUARE / std**2

@@ -44,7 +44,6 @@ class State:
         confounded: Quantities that changed at the same time, or were not logged.
         level: The last value.
         pooled: Last value, baseline included, shrunk towards the fleet's mean.
-        pooled_std: Standard deviation of ``pooled``.
         unlike: Whether the arm is an outlier of its group.
         limit: Largest change that the plan allows; infinite if none.
         crossing: Days from the last period until it passes the limit: median, and
@@ -64,7 +63,6 @@ class State:
     confounded: str
     level: Level
     pooled: float
-    pooled_std: float
     unlike: bool
     limit: float
     crossing: tuple[float, float, float]
@@ -172,7 +170,6 @@ class Series:
                 arm, group, self.row["joint"], self.row["parameter"], self.row["unit"],
                 t, y, s, float(base[k]), own, self._confounded(k, own), now,
                 float(fleet.value[k]) if fleet else float(value[k]),
-                float(fleet.std[k]) if fleet else now.std,
                 bool(fleet is not None and fleet.unlike[k]), most,
                 crossing(now, most) if np.isfinite(most) else (np.inf, np.inf, np.inf),
             )  # fmt: skip

@@ -15,8 +15,7 @@ from typing import Any
 from hybrid.errors import HybridError
 from hybrid.fleets.estimate import deviations, with_payload
 from hybrid.fleets.plan import opened
-from hybrid.fleets.serving import serve
-from hybrid.fleets.worker import FINDING, LOST, OK, REFUSED, VERDICT
+from hybrid.fleets.worker import FINDING, LOST, OK, REFUSED, VERDICT, serve
 from hybrid.identification import DynamicModel, identify
 from hybrid.model.model_file import content_from_model
 from hybrid.recording import Recording, read_all

@@ -1,20 +1,20 @@
 """Child processes for units, which can be killed if one hangs.
 
 Each thread of a Dask worker keeps one child with all modules loaded. Questions and
-answers are lines of JSON, see :mod:`hybrid.fleets.serving`. A child that takes too
-long, or dies, is replaced.
+answers are lines of JSON. A child that takes too long, or dies, is replaced.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import queue
 import selectors
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -121,3 +121,30 @@ def end_children() -> None:
     """End all children of this process."""
     while _children:
         _children.popitem()[1].end()
+
+
+def serve(answer: Callable[[Mapping[str, Any]], Mapping[str, Any]]) -> None:
+    """Answer questions, one line of JSON each, until the parent process ends.
+
+    The process ends with its parent or the pipe, even during a computation. Output of
+    libraries goes to stderr. An exception is an answer, since a bug must not stop the
+    fleet.
+    """
+    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    questions: queue.Queue[str] = queue.Queue()
+
+    def listen() -> None:
+        for line in sys.stdin:
+            questions.put(line)
+        os._exit(0)
+
+    threading.Thread(target=listen, daemon=True).start()
+    content: Mapping[str, Any] = {}  # ready
+    while True:
+        out.write(f"{json.dumps(content)}\n")
+        out.flush()
+        try:
+            content = answer(json.loads(questions.get()))
+        except Exception as error:
+            content = {"failed": REFUSED, "reason": f"{type(error).__name__}: {error}"}

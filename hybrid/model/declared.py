@@ -11,4 +11,4 @@ def declared_effects(robot: Robot) -> list[Effect]:
     values = {name: getattr(robot, name) for name in names}
     values["armature"] = robot.chain.armature
     values["preload"] = -robot.stiffness * robot.springref
-    return [*effects_of_fields(values), *curves(robot), *couplings(robot)]
+    return [*effects_of_fields(values), *curves(robot), *couplings(robot.coupled)]

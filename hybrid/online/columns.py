@@ -1,17 +1,23 @@
-"""Regression columns of rigid body and effects at some instants, in small steps."""
+"""Regression columns of rigid body and effects at some instants, in small steps.
 
-from collections.abc import Iterator
+Laws of single joints are compiled into one function of plain numbers.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.dynamics import RigidBody, regressor_law
-from hybrid.online.laws import STEP, InstantLaws
+from hybrid.dynamics import Law, RigidBody, Tape, regressor_law
+from hybrid.effects import Effect, JointEffect, JointState
+from hybrid.errors import HybridError
 from hybrid.online.layout import PAYLOAD, RowLayout
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
+_STEP = 1e-4  # relative, for finite differences of the shapes
 _TOGETHER = 2  # instants in a rigid-body step, which then takes as long as the others
 
 
@@ -21,10 +27,10 @@ class InstantColumns:
     def __init__(
         self, robot: Robot, problem: Problem, layout: RowLayout, instants: int
     ) -> None:
-        self._problem, self._layout = problem, layout
+        self._problem, self.layout = problem, layout
         self.rows = np.zeros((instants, len(layout.joints)))
         self._find_rigid(robot)
-        self._laws = InstantLaws(problem.effects, layout)
+        self._compile_laws()
 
     def fill(
         self, states: tuple[Array, Array, Array, Array], theta: Array
@@ -34,23 +40,26 @@ class InstantColumns:
         States are time (B,), [s], position (B, n), [rad], speed and acceleration; the
         unknowns (d,) give shapes and load.
         """
-        motion = np.concatenate(states[1:], axis=1).tolist()
+        instants = np.concatenate(states[1:], axis=1).tolist()
         for k, row in enumerate(self.rows):
-            row[self._targets] = self._regressor.at(motion[k])
+            row[self._targets] = self._regressor.at(instants[k])
             if k % _TOGETHER == _TOGETHER - 1 or k == len(self.rows) - 1:
                 yield
-        laws = self._laws
         for row, t, q, v, a in zip(self.rows, *states, strict=True):
             load = (row[self._inertial] * theta[self._base]) @ self._of_joint
-            row[laws.places] = laws(t, q, v, a, load, theta)
+            signals = np.concatenate([q, v, a, load, theta[self._unknowns]])
+            row[self._places] = self._law.at([t, *signals.tolist()])
             yield
-        if laws.others:
-            self._fill_others(states, theta)
+        if self._others:
+            motion = Motion(*states, 0 * states[1], np.ones(len(self.rows), dtype=bool))
+            body = RigidBody(self._problem.chain, motion, self._problem.inertial)
+            for e in self._others:
+                self._fill_other(e, motion, body, theta)
             yield
 
     def _find_rigid(self, robot: Robot) -> None:
         """Find the regressor entries that are needed, and their places in a row."""
-        n, layout, kept = robot.size, self._layout, np.array(self._problem.base.kept)
+        n, layout, kept = robot.size, self.layout, np.array(self._problem.base.kept)
         inertial = np.flatnonzero(np.isin(layout.unknowns, self._problem.rigid))
         joints, self._base = layout.joints[inertial], layout.unknowns[inertial]
         self._inertial, self._of_joint = inertial, np.eye(n)[joints]
@@ -61,21 +70,40 @@ class InstantColumns:
         self._regressor = regressor_law(robot.chain, tuple(entries))
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
-    def _fill_others(
-        self, states: tuple[Array, Array, Array, Array], theta: Array
-    ) -> None:
-        """Write the effects that depend on several joints; slower."""
-        t, q, *_ = states
-        motion = Motion(*states, 0 * q, np.ones(len(t), dtype=bool))
-        body = RigidBody(self._problem.chain, motion, self._problem.inertial)
-        for e in self._laws.others:
-            self._fill_other(e, motion, body, theta)
+    def _compile_laws(self) -> None:
+        """Compile derivatives of torque by gains and shapes of laws, and their places.
+
+        Laws that cannot be compiled, and effects of more than one joint, are others.
+        """
+        n, tape, layout = self.layout.joint_count, Tape(), self.layout
+        names = ["t", *(f"{x}[{j}]" for x in ("q", "v", "a", "load") for j in range(n))]
+        t, *signals = (tape.input(name) for name in names)
+        states = [
+            JointState(t, q, v, a, np.sign(v), load)
+            for q, v, a, load in zip(
+                *(signals[k * n : k * n + n] for k in range(4)), strict=True
+            )
+        ]
+        found: dict[int, Any] = {}
+        self._others: list[int] = []
+        for e, effect in enumerate(self._problem.effects):
+            try:
+                found |= _law_columns(e, effect, states, layout, tape)
+            except (HybridError, TypeError, ValueError):
+                self._others.append(e)
+        self._places = np.array(list(found), dtype=int)
+        inputs = {x.arguments[0] for x in tape.lines if x.name == "input"}
+        marks = [u for u in range(layout.size) if f"theta[{u}]" in inputs]
+        self._unknowns = np.array(marks, dtype=int)
+        names += [f"theta[{u}]" for u in marks]
+        self._law = Law(tape, tuple(found.values()), tuple(names))
 
     def _fill_other(
         self, e: int, motion: Motion, body: RigidBody, theta: Array
     ) -> None:
-        effect, own = self._problem.effects[e], self._layout.gains[e]
-        shapes, joints = self._layout.shapes[e], effect.reaches(motion.q.shape[1])
+        """Write an effect that depends on several joints; slower."""
+        effect, own = self._problem.effects[e], self.layout.gains[e]
+        shapes, joints = self.layout.shapes[e], effect.reaches(motion.q.shape[1])
         names, values = [s.name for s in effect.shapes], theta[shapes].tolist()
         here = effect.at(dict(zip(names, values, strict=True)))
         columns = here.columns(motion, body)  # (B, r, p)
@@ -84,15 +112,51 @@ class InstantColumns:
 
         def write(unknown: int, torque: Array) -> None:
             for joint, x in zip(joints, torque.T, strict=True):
-                place = self._layout.place(joint, unknown)
+                place = self.layout.place(joint, unknown)
                 if place >= 0:
                     self.rows[:, place] = x
 
         for g in known:
             write(own[g], columns[:, :, g])
         for unknown, x, s in zip(shapes, values, effect.shapes, strict=True):
-            if self._layout.place(joints[0], unknown) >= 0:
-                step = STEP * max(abs(x), STEP)
+            if self.layout.place(joints[0], unknown) >= 0:
+                step = _STEP * max(abs(x), _STEP)
                 step = -step if x - step >= s.lower else step
                 moved = here.at({s.name: x + step}).columns(motion, body)
                 write(unknown, (moved - columns)[:, :, known] @ gains / step)
+
+
+def _law_columns(
+    e: int,
+    effect: Effect,
+    states: Sequence[JointState],
+    layout: RowLayout,
+    tape: Tape,
+) -> dict[int, Any]:
+    """Symbolic derivative by each gain and shape, by its place in a row."""
+    if not isinstance(effect, JointEffect):
+        raise HybridError(f"{effect.id} is no law of one joint's own state")
+    (joint,) = effect.joints
+
+    def places(unknowns: Sequence[int]) -> list[int]:
+        return [layout.place(joint, u) for u in unknowns]
+
+    def theta(unknown: int) -> Any:
+        return tape.input(f"theta[{unknown}]") if unknown >= 0 else 0.0
+
+    gains, slopes = places(layout.gains[e]), places(layout.shapes[e])
+    tracked = all(place >= 0 for place in slopes)
+    shapes: dict[str, Any] = dict(effect.shape_values)
+    if tracked:
+        shapes = dict(zip(shapes, map(theta, layout.shapes[e]), strict=True))
+    law = [*effect.law(states[joint], **shapes)]
+
+    def torque(law: Sequence[Any]) -> Any:
+        return sum(theta(u) * x for u, x in zip(layout.gains[e], law, strict=True))
+
+    found = dict(zip(gains, law, strict=True))
+    for name, place in zip(shapes, slopes, strict=True) if tracked else ():
+        step = _STEP * np.maximum(abs(shapes[name]), _STEP)
+        moved = effect.law(states[joint], **shapes | {name: shapes[name] + step})
+        found[place] = (torque(moved) - torque(law)) / step
+    return {place: x for place, x in found.items() if place >= 0}

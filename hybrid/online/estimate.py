@@ -5,27 +5,23 @@ from collections.abc import Generator
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.online.initial_estimate import InitialEstimate
+from hybrid.online.initial_estimate import REACH, InitialEstimate, payload_sizes
 from hybrid.online.layout import RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import PayloadChange, likely_payload
 from hybrid.online.square_root import SquareRootFilter
 
+_PAYLOAD = 3.0  # kg, usual mass of a payload
 _MOST_DEVIATIONS = 5.0  # standard deviations at which an error is clipped
 
 
 class OnlineEstimate:
     """Recursive filter, torque noise and payload detector together.
 
-    Args:
-        start: The estimate before the first sample.
-        layout: Layout of a row.
-        sizes: Usual parameters of a payload, shape (10,).
-        noise: Standard deviation of the torque error.
-        detector: Detector of payload changes.
-        forgetting: Forgetting factor λ of each update.
-        mixing: Time after a change in which filtered rows still contain samples from
-            before it, [s].
+    It has ``rate`` updates per second, [Hz], with the factor λ of ``forgetting`` each.
+    ``noise`` is the initial standard deviation of the torque error, shape (n,), [N·m].
+    For the time ``mixing``, [s], after a change filtered rows still contain samples
+    from before it.
     """
 
     def __init__(
@@ -33,19 +29,20 @@ class OnlineEstimate:
         start: InitialEstimate,
         layout: RowLayout,
         *,
-        sizes: Array,
-        noise: TorqueNoise,
-        detector: PayloadChange,
+        rate: float,
+        noise: Array,
         forgetting: float,
         mixing: float,
     ) -> None:
         self.filter = SquareRootFilter(start.theta, start.root)
         self.bounds, self._gains = start.bounds(), start.problem.size
-        self._payload, self._sizes = start.payload_directions(sizes), sizes
-        self.noise, self._detector, self._layout = noise, detector, layout
+        self._sizes = payload_sizes(_PAYLOAD)
+        self._payload = start.payload_directions(self._sizes)
+        self.noise, self._layout = TorqueNoise(noise, rate), layout
+        self._detector = PayloadChange(rate=rate, mass=_PAYLOAD, reach=REACH)
         self._forgetting, self._mixing = forgetting, mixing
         self._before = self.filter.mean.copy(), self.filter.covariance
-        self.error = np.zeros(len(noise.std))
+        self.error = np.zeros(len(noise))
         self._learn_from = -np.inf
 
     @property
@@ -95,7 +92,7 @@ class OnlineEstimate:
         yield
         limit = _MOST_DEVIATIONS * std
         clipped = np.minimum(np.maximum(error, -limit), limit)
-        yield from self.filter.steps(projected, clipped, self._forgetting)
+        yield from self.filter.update(projected, clipped, self._forgetting)
         self.filter.clip(*self.bounds)
         left = error * np.sqrt(inflation) * noise / std
         self.noise.update(joints.tolist(), left.tolist())

@@ -25,11 +25,10 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.online.columns import InstantColumns
 from hybrid.online.estimate import OnlineEstimate
 from hybrid.online.health import Health
-from hybrid.online.initial_estimate import REACH, InitialEstimate, payload_sizes
+from hybrid.online.initial_estimate import InitialEstimate
 from hybrid.online.intake import Intake, Sample
 from hybrid.online.layout import RowLayout
-from hybrid.online.noise import TorqueNoise
-from hybrid.online.payload_change import Change, PayloadChange
+from hybrid.online.payload_change import Change
 from hybrid.online.pipeline import Pipeline
 from hybrid.parameters import Parameter
 from hybrid.plant.scale import joint_scales
@@ -39,7 +38,6 @@ from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 _STANDING = 0.01  # of a joint's rated speed
 _NOISE = 0.02  # of the rated torque, before the first sample
-_PAYLOAD = 3.0  # kg, usual mass of a payload
 _IMPLAUSIBLE = 10.0  # of the sum of the rated speeds, and of the rated torques
 _UPDATES, _ROWS = 5.0, 25.0  # per period of the cut-off
 _SETTLING = 1.5  # periods of the cut-off in which the filter still holds older samples
@@ -100,11 +98,10 @@ class OnlineIdentifier:
                 "valid are effects that add torque"
             )
         self.robot, self.rate = robot, rate
-        own = robot.chain.inertial if inertial is None else inertial
-        problem = build_problem(robot.chain, effects, inertial=own)
-        start = InitialEstimate(robot, problem, own, prior, shape_prior)
+        problem = build_problem(robot.chain, effects, inertial=inertial)
+        scales = self._scales = joint_scales(robot)
+        start = InitialEstimate(problem, scales, prior, shape_prior)
         self.problem = replace(problem, effects=start.effects)
-        scales = joint_scales(robot)
         usual = np.array([[_NOISE * s.torque, _STANDING * s.speed] for s in scales]).T
         self._standing = usual[1] if standing is None else standing
         self._group = int(rate / (_ROWS * cutoff)) or 1
@@ -114,15 +111,14 @@ class OnlineIdentifier:
         if np.isfinite(cutoff):
             self._differentiator = LocalPolynomial(rate, cutoff, self._group)
             self._low_pass = BlockLowPass(rate / self._group, cutoff, rows)
-        self._layout = RowLayout(self.problem, shape_prior > 0)
-        self._columns = InstantColumns(robot, self.problem, self._layout, rows)
+        layout = RowLayout(self.problem, shape_prior > 0)
+        self._columns = InstantColumns(robot, self.problem, layout, rows)
         updates, size = rate / self._block, len(start.theta)
         self._estimate = OnlineEstimate(
             start,
-            self._layout,
-            sizes=payload_sizes(_PAYLOAD),
-            noise=TorqueNoise(usual[0] if noise is None else noise, updates),
-            detector=PayloadChange(rate=updates, mass=_PAYLOAD, reach=REACH),
+            layout,
+            rate=updates,
+            noise=usual[0] if noise is None else noise,
             forgetting=1.0 - min(0.5, size / robot.size / (memory * updates)),
             mixing=_SETTLING / cutoff,
         )
@@ -259,10 +255,8 @@ class OnlineIdentifier:
                 "without a cut-off every sample needs its speed and acceleration"
             )
         differentiator = self._differentiator
-        scales = joint_scales(self.robot)
         self._pipeline = Pipeline(
             self._columns,
-            self._layout,
             group=self._group,
             differentiator=differentiator,
             low_pass=self._low_pass,
@@ -272,8 +266,8 @@ class OnlineIdentifier:
             self.robot.size,
             rate=self.rate,
             window=differentiator.span if differentiator else 0.0,
-            speed=_IMPLAUSIBLE * sum(s.speed for s in scales),
-            torque=_IMPLAUSIBLE * sum(s.torque for s in scales),
+            speed=_IMPLAUSIBLE * sum(s.speed for s in self._scales),
+            torque=_IMPLAUSIBLE * sum(s.torque for s in self._scales),
             before=2 * differentiator.margin if differentiator else 0,
             block=self._block,
         )

@@ -1,5 +1,6 @@
 """The unknowns before the first sample: initial values, covariance and bounds."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -7,10 +8,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
-from hybrid.effects import Effect
-from hybrid.plant.scale import joint_scales
+from hybrid.effects import Effect, Scale
 from hybrid.regression.problem import Problem
-from hybrid.robot import Robot
 
 REACH = 0.15  # m: usual size of a link, and distance of a payload from the last joint
 _LEAST_MASS, _LEAST_MOMENT, _LEAST_INERTIA = 0.1, 0.01, 0.001  # kg, kg·m, kg·m²
@@ -21,16 +20,14 @@ class InitialEstimate:
     """Initial estimate of base parameters, gains and shapes.
 
     Attributes:
-        robot: The arm.
-        problem: The unknowns.
-        inertial: Initial link parameters, shape (n, 10).
+        problem: The unknowns, with initial link parameters and effects.
+        scales: Rated torque and speed of each joint.
         prior: Relative standard deviation of link parameters and gains.
         shape_prior: Relative standard deviation of shapes; 0 keeps them constant.
     """
 
-    robot: Robot
     problem: Problem
-    inertial: Array
+    scales: Sequence[Scale]
     prior: float
     shape_prior: float
 
@@ -50,7 +47,7 @@ class InitialEstimate:
         """Initial values, shape (d,)."""
         problem = self.problem
         gains = [problem.effects[e].gain_values[g] for e, g in problem.columns]
-        base = problem.base.mapping @ np.concatenate([self.inertial.ravel(), gains])
+        base = problem.base.mapping @ np.concatenate([problem.inertial.ravel(), gains])
         shapes = [x for e in problem.effects for x in e.shape_values.values()]
         return np.concatenate([base, shapes])
 
@@ -68,7 +65,7 @@ class InitialEstimate:
     def _link_sizes(self) -> Array:
         """Magnitude of the inertial parameters of every link, shape (10n,)."""
         sizes = []
-        for link in self.robot.chain.inertial:
+        for link in self.problem.chain.inertial:
             mass = abs(link[0])
             moment = np.linalg.norm(link[1:4]) + REACH * mass
             inertia = abs(link[[4, 6, 9]]).max() + REACH * moment
@@ -78,10 +75,10 @@ class InitialEstimate:
 
     def _gain_sizes(self) -> Array:
         """Magnitude of the gains: their value, or what is usual for the joint."""
-        scales, sizes = joint_scales(self.robot), []
+        sizes = []
         for e, g in self.problem.columns:
             effect = self.problem.effects[e]
-            usual = effect.gains[g].scaled(scales[effect.joints[-1]])
+            usual = effect.gains[g].scaled(self.scales[effect.joints[-1]])
             bound = min(usual.upper, abs(usual.lower) or np.inf)
             value = abs(effect.gain_values[g])
             sizes.append(max(value, abs(usual.typical), 0.1 * bound))
@@ -89,24 +86,24 @@ class InitialEstimate:
 
     def bounds(self) -> tuple[Array, Array]:
         """Physical bounds of the unknowns, shapes (d,)."""
-        scales, low, high = joint_scales(self.robot), [], []
+        low, high = [], []
         for effect in self.problem.effects:
             for s in effect.shapes:
-                own = s.scaled(scales[effect.joints[-1]])
+                own = s.scaled(self.scales[effect.joints[-1]])
                 low.append(min(own.lower, effect.values[s.name]))
                 high.append(max(own.upper, effect.values[s.name]))
         most = np.full(self.problem.size, np.inf)
         for unknown, e, g in self.problem.gains:
             effect = self.problem.effects[e]
-            own = effect.gains[g].scaled(scales[effect.joints[-1]])
+            own = effect.gains[g].scaled(self.scales[effect.joints[-1]])
             most[unknown] = max(own.upper, 2 * self.theta[unknown])
         return np.append(self.problem.lower, low), np.append(most, high)
 
     def payload_directions(self, sizes: Array) -> Array:
         """Change of the unknowns by each payload parameter of a size, shape (d, 10)."""
-        last = slice(10 * self.robot.size - 10, 10 * self.robot.size)
-        out = np.zeros((len(self.theta), 10))
-        out[: self.problem.size] = self.problem.base.mapping[:, last] * sizes
+        n, out = self.problem.chain.size, np.zeros((len(self.theta), 10))
+        mapping = self.problem.base.mapping[:, 10 * n - 10 : 10 * n]
+        out[: self.problem.size] = mapping * sizes
         return out
 
 

@@ -1,12 +1,9 @@
 """Layout of the regression rows of all joints in one flat array."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.regression.problem import Problem
-
-Indices = NDArray[np.intp]
 
 # Mass and first moments of the last link, which gravity and slow motion show at once.
 PAYLOAD = 4

@@ -66,23 +66,19 @@ class PayloadChange:
         self._ignore_until: float | None = None
 
     def add(self, J: Array, error: Array) -> None:
-        """Add one row.
+        """Add one row, over the standard deviation of its error.
 
-        Args:
-            J: Torque per unit of the last link's mass and first moments, over the
-                standard deviation of the error, shape (m, 4).
-            error: Prediction error over its standard deviation, shape (m,).
+        J is the torque per unit of the last link's mass and first moments, shape
+        (m, 4); the prediction error has the shape (m,).
         """
         self._sums *= self._fade[:, None, None]
         self._sums[:, :, :PAYLOAD] += J.T @ J
         self._sums[:, :, PAYLOAD] += J.T @ error
 
     def detect(self, t: float, inflation: float) -> float | None:
-        """The statistic of a change if one is detected, else None.
+        """The statistic of a change if one is detected at a time [s], else None.
 
-        Args:
-            t: Time, [s].
-            inflation: Number of successive errors that count as one independent error.
+        ``inflation`` successive errors count as one independent error.
         """
         if self._ignore_until is None:
             self._ignore_until = t + _LEARNING

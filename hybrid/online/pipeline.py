@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.online.columns import InstantColumns
-from hybrid.online.layout import RowLayout
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 States = tuple[Array, Array, Array]  # position, speed and acceleration, (B, n) each
@@ -21,7 +20,6 @@ class Pipeline:
 
     Args:
         columns: Columns of an arm and its effects at B instants.
-        layout: Layout of a row.
         group: Number of samples g in a group.
         differentiator: Differentiates positions; None if samples contain speed and
             acceleration.
@@ -32,14 +30,13 @@ class Pipeline:
     def __init__(
         self,
         columns: InstantColumns,
-        layout: RowLayout,
         *,
         group: int,
         differentiator: LocalPolynomial | None,
         low_pass: BlockLowPass | None,
         standing: Array,
     ) -> None:
-        self._columns, self._layout = columns, layout
+        self._columns = columns
         self._mean = np.kron(np.eye(len(columns.rows)), np.full(group, 1.0 / group))
         self._differentiator, self._low_pass = differentiator, low_pass
         self._standing = standing
@@ -48,10 +45,8 @@ class Pipeline:
     def row(self, samples: Array, theta: Array) -> Generator[None, None, Array]:
         """The filtered row of a block, shape (P,), in steps.
 
-        Args:
-            samples: Time, position, torque, then speed and acceleration if samples
-                contain them, for the block and its margins, shape (N, width).
-            theta: Unknowns, shape (d,).
+        The samples are those of :meth:`Intake.take`, with margins; the unknowns have
+        the shape (d,).
         """
         n, margin = len(self._standing), 0
         if self._differentiator is not None:
@@ -67,7 +62,7 @@ class Pipeline:
         yield
         yield from self._columns.fill((t[:, 0], *states), theta)
         # Columns and torque are filtered identically; those of standing joints are 0.
-        rows, layout = self._columns.rows, self._layout
+        rows, layout = self._columns.rows, self._columns.layout
         rows[:, layout.torque], rows[:, layout.moving] = signals[:, n : 2 * n], 1.0
         rows *= moving[:, layout.joints]
         if not np.isfinite(rows.sum()):  # a law has no value there: leave the row out

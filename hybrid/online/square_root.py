@@ -45,24 +45,20 @@ class SquareRootFilter:
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
 
     def project(self, H: Array) -> Array:
-        """H·S, shape (m, d): square root of the predicted observation covariance."""
+        """H·S, shape (m, d): square root of the predicted observation covariance.
+
+        H is the derivative of an observation of unit noise by the unknowns.
+        """
         return np.asarray(H @ self.root)
 
-    def update(self, H: Array, error: Array, forgetting: float = 1.0) -> None:
-        """Update with one observation of unit noise.
-
-        Args:
-            H: Derivative of the observation by the unknowns over its noise, (m, d).
-            error: Observation less its prediction over the noise, shape (m,).
-            forgetting: Forgetting factor λ, at most 1.
-        """
-        for _ in self.steps(self.project(H), error, forgetting):
-            pass
-
-    def steps(
+    def update(
         self, projected: Array, error: Array, forgetting: float
     ) -> Iterator[None]:
-        """:meth:`update` in two steps, from the result of :meth:`project`."""
+        """Update with an observation, in two steps.
+
+        It is :meth:`project`-ed. The error, observation less prediction over the noise,
+        has the shape (m,); the forgetting factor λ is at most 1.
+        """
         power, turn, _ = lapack.dsyevd(projected @ projected.T)
         power = np.maximum(power, _ROUNDING)
         total = np.maximum(forgetting + power, 1.0)
@@ -83,12 +79,7 @@ class SquareRootFilter:
         self.root = np.asfortranarray(upper.T)
 
     def clip(self, lower: Array, upper: Array) -> None:
-        """Project an estimate outside its bounds onto them, in its own metric.
-
-        Args:
-            lower: Lowest values, shape (d,).
-            upper: Highest values, shape (d,).
-        """
+        """Project an estimate outside its bounds (d,) onto them, in its own metric."""
         (passed,) = np.nonzero((self.mean < lower) | (self.mean > upper))
         if not passed.size:
             return

@@ -162,16 +162,9 @@ def check_simulable(effects: Sequence[Effect], size: int) -> None:
 
 
 def inverse_dynamics(robot: Robot, q: Array, v: Array, a: Array) -> Array:
-    """Torque of rigid body, rotors and springs along a motion, without friction.
+    """Torque of rigid body, rotors and springs, without friction, (N, n), [N·m].
 
-    Args:
-        robot: The arm.
-        q: Position, shape (N, n), [rad].
-        v: Speed, shape (N, n), [rad/s].
-        a: Acceleration, shape (N, n), [rad/s²].
-
-    Returns:
-        Torque, shape (N, n), [N·m].
+    The motion has the shape (N, n), in [rad], [rad/s] and [rad/s²].
     """
     smooth = replace(robot, ripple=robot.ripple[:0])
     rigid = rigid_torque(robot.chain, robot.chain.inertial, q, v, a)

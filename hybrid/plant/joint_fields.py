@@ -93,12 +93,12 @@ def curves(robot: Robot) -> list[Effect]:
     return [*rising, *ripples, *(fall(int(j), level, v) for j, level, v in rows)]
 
 
-def couplings(robot: Robot) -> list[Effect]:
-    """Rotors of a robot file that turn with the sum of two joints."""
+def couplings(rows: Array) -> list[Effect]:
+    """Rotors that turn with the sum of two joints, from :attr:`.Robot.coupled`."""
     names = [gain.name for gain in TransmissionCoupling.gains]
     return [
         TransmissionCoupling((int(i), int(j)), dict(zip(names, forces, strict=True)))
-        for i, j, *forces in robot.coupled.tolist()
+        for i, j, *forces in rows.tolist()
     ]
 
 
@@ -114,15 +114,11 @@ def coupled_rows(
     for effect in effects:
         pair = tuple(sorted(effect.joints))
         sums[pair] = sums.get(pair, np.zeros(3)) + effect.gain_values
-    names = [gain.name for gain in TransmissionCoupling.gains]
-    below = {pair: np.minimum(gains, 0.0) for pair, gains in sums.items()}
-    rest: list[Effect] = [
-        TransmissionCoupling(pair, dict(zip(names, gains.tolist(), strict=True)))
-        for pair, gains in below.items()
-        if gains.any()
-    ]
-    rows = [(*pair, *np.maximum(x, 0.0)) for pair, x in sums.items() if (x > 0).any()]
-    return np.array(rows).reshape(-1, 5), rest
+    rows = np.array([(*pair, *gains) for pair, gains in sums.items()]).reshape(-1, 5)
+    pairs, gains = rows[:, :2], rows[:, 2:]
+    above = np.c_[pairs, np.maximum(gains, 0.0)][(gains > 0).any(axis=1)]
+    below = np.c_[pairs, np.minimum(gains, 0.0)][(gains < 0).any(axis=1)]
+    return above, couplings(below)
 
 
 def fall(joint: int, level: float, speed: float) -> Effect:
@@ -168,11 +164,8 @@ def with_curves(
 def soft_springs(stiffness: Array, preload: Array) -> tuple[Array, Array]:
     """Stiffness [N·m/rad] and relaxed position [rad] of joint springs, shape (n,) each.
 
-    A preload without a spring is a very soft spring with a distant relaxed position.
-
-    Args:
-        stiffness: Of the springs, shape (n,), [N·m/rad].
-        preload: Torque of the springs against motion at zero, shape (n,), [N·m].
+    A preload, torque against motion at zero, [N·m], without a spring is a very soft
+    spring with a distant relaxed position.
     """
     stiffness = np.where((stiffness == 0) & (preload != 0), _SOFTEST, stiffness)
     return stiffness, -preload / np.where(stiffness > 0, stiffness, 1.0)

@@ -34,14 +34,7 @@ class Lockstep:
     def __init__(
         self, arm: Arm, effects: Sequence[Effect], start: Array, *, time: float = 0.0
     ) -> None:
-        """Place every trajectory at rest.
-
-        Args:
-            arm: The arm.
-            effects: Effects on it.
-            start: Motor position of each trajectory, shape (B, n), [rad].
-            time: Time at the start, [s].
-        """
+        """Place every trajectory at rest, at motor positions of shape (B, n), [rad]."""
         import mujoco
 
         self._advance = mujoco.mj_step
@@ -93,11 +86,7 @@ class Lockstep:
                 data.qpos[arm.deflection] = -np.where(soft, twist, np.sign(bias) * stop)
 
     def step(self, torque: Array, substeps: int = 1) -> None:
-        """Advance with a torque held.
-
-        Args:
-            torque: Commanded torque, shape (B, n), [N·m].
-            substeps: Number of physics steps.
+        """Advance some physics steps with a torque held, shape (B, n), [N·m].
 
         Raises:
             HybridError: The simulation diverges.

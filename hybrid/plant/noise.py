@@ -77,21 +77,10 @@ class Noise:
         Torque noise of 0.5 % of rated torque, correlated 0.4 between neighbours and
         0.4ᵏ over k joints; a 19-bit encoder; speed noise of 1 mrad/s.
         """
-        std = _TORQUE_FRACTION * rated_torque(robot)
-        return cls.correlated(std, _NEIGHBOUR_CORRELATION)
-
-    @classmethod
-    def correlated(cls, torque_std: Array, correlation: float) -> Noise:
-        """Torque noise with correlation ``correlation**|i − j|``, a 19-bit encoder.
-
-        Args:
-            torque_std: Standard deviation of the torque noise, shape (n,), [N·m].
-            correlation: Correlation of neighbouring joints, between −1 and 1.
-        """
-        n = len(torque_std)
+        n, std = robot.size, _TORQUE_FRACTION * rated_torque(robot)
         distance = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
         return cls(
-            torque_covariance=np.outer(torque_std, torque_std) * correlation**distance,
+            torque_covariance=np.outer(std, std) * _NEIGHBOUR_CORRELATION**distance,
             position_resolution=np.full(n, 2 * np.pi / 2**_ENCODER_BITS),
             position_std=np.zeros(n),
             speed_std=np.full(n, _SPEED_STD),
@@ -100,12 +89,9 @@ class Noise:
     def apply(
         self, signals: dict[str, Array], *, rate: float, rng: np.random.Generator
     ) -> dict[str, Array]:
-        """Noisy signals.
+        """Noisy signals from the true ``q``, ``v`` and ``tau``, shape (N, n) each.
 
-        Args:
-            signals: True ``q`` [rad], ``v`` [rad/s] and ``tau`` [N·m], shape (N, n).
-            rate: Samples per second, [Hz].
-            rng: Source of the noise.
+        They have a rate, in samples per second, [Hz].
         """
         shape = signals["q"].shape
         q = signals["q"] + self.position_std * rng.standard_normal(shape)

@@ -64,27 +64,19 @@ class Plant:
         set_(self, "arm", arm)
         _ratio("control_rate", 1.0 / self.step, self.control_rate)
         _ratio("log_rate", self.control_rate, self.log_rate)
-        if self.nominal is None:
-            set_(self, "nominal", self.robot)
-        if self.noise is None:
-            set_(self, "noise", Noise.typical(self.robot))
+        nominal, n = self.nominal or self.robot, self.robot.size
+        set_(self, "nominal", nominal)
+        set_(self, "noise", self.noise or Noise.typical(self.robot))
         if self.servo is None:
-            lag = np.zeros(self.robot.size)
+            lag = np.zeros(n)
             for effect in self.effects:
                 lag[list(effect.joints)] += effect.actuator.get("lag", 0.0)
             period = 1.0 / self.control_rate
-            servo = Servo.tuned(arm, self._nominal, period=period, lag=lag)
-            set_(self, "servo", servo)
-        n = self.robot.size
+            set_(self, "servo", Servo.tuned(arm, nominal, period=period, lag=lag))
         if len(self._noise.torque_covariance) != n or len(self._servo.kp) != n:
             raise HybridError(f"noise and servo need {n} joints, as the robot has")
 
     # Never None after construction; the fields are optional for the caller only.
-
-    @property
-    def _nominal(self) -> Robot:
-        assert self.nominal is not None
-        return self.nominal
 
     @property
     def _noise(self) -> Noise:
@@ -121,11 +113,11 @@ class Plant:
         if not references or any(r.q.shape[1] != n for r in references):
             raise HybridError(f"one reference or more of {n} joints is needed")
         clock, signals = self._simulate(references)
-        rng = np.random.default_rng(seed)
+        children = np.random.default_rng(seed).spawn(len(references))
         return [
             self._record(k, reference, clock, signals, child)
             for k, (reference, child) in enumerate(
-                zip(references, rng.spawn(len(references)), strict=True)
+                zip(references, children, strict=True)
             )
         ]
 
@@ -192,11 +184,8 @@ class Plant:
         The semi-implicit step relates the torque of step k to the second difference of
         position *around* sample k. So a torque held over m steps is centred (m − 1)/2
         steps after the first; a weight of (m − 1)/2m of the previous torque centres the
-        sum on the sample. Speed lags by half a step. Runge-Kutta steps use the torque
-        between samples and have the speed at them.
-
-        Returns:
-            Weight of the previous torque, and time to advance the speed by [s].
+        sum on the sample. Speed lags by half a step, the second result, [s]. Runge-
+        Kutta steps use the torque between samples and have the speed at them.
         """
         if self.integrator == "rk4":
             return 0.5, 0.0

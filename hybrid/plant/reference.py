@@ -55,13 +55,9 @@ class Reference:
         return float((len(self.t) - 1) / self.t[-1])
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """Position and speed at other times; outside the clock the arm stands still.
+        """Position [rad] and speed [rad/s] at other times (M,), [s], shape (M, n) each.
 
-        Args:
-            t: Times, shape (M,), [s].
-
-        Returns:
-            Position [rad] and speed [rad/s], each of shape (M, n).
+        Outside the clock the arm stands still.
         """
         from scipy.interpolate import CubicHermiteSpline
 
@@ -136,10 +132,9 @@ def random_fourier(
 
 
 def limits(robot: Robot) -> tuple[Array, Array, Array, Array]:
-    """Limits of position (low, high), speed and acceleration, or their defaults.
+    """Lowest and highest position [rad], speed [rad/s] and acceleration [rad/s²], (n,).
 
-    Returns:
-        Four arrays of shape (n,), in [rad], [rad], [rad/s] and [rad/s²].
+    Missing ones are defaults.
     """
     low = np.where(np.isfinite(robot.q_min), robot.q_min, -DEFAULT_POSITION)
     high = np.where(np.isfinite(robot.q_max), robot.q_max, DEFAULT_POSITION)

@@ -63,14 +63,8 @@ def rollout(
     """Simulate freely from measured states under the measured torque.
 
     The motors start at their measured position and speed. Elastic deflection, backlash
-    and bristles start in the states that follow from the measured motion.
-
-    Args:
-        robot: The simulator.
-        effects: Effects on it.
-        motions: Measured motions with their torque.
-        windows: Windows to replay.
-        step: Longest physics step, [s]; samples are a whole number of steps apart.
+    and bristles start in the states that follow from the measured motion. Samples are a
+    whole number of physics steps apart, of at most ``step``, [s].
 
     Returns:
         Position that the encoders would show at the samples of each window, shape
@@ -85,7 +79,7 @@ def rollout(
     inside = [e for e in effects if not e.reports]
     arm = build_arm(robot, inside, step=apart / factor, integrator="implicitfast")
     torque = windows.of([_delivered(m, effects, factor) for m in motions], factor)
-    state = _start(robot, arm, inside, motions, windows)
+    state = _FreeTrajectories(robot, arm, inside, motions, windows)
     positions = np.empty((windows.samples + 1, *state.q.shape))
     positions[0] = windows.first([m.q for m in motions])
     for k in range(windows.samples):
@@ -97,34 +91,45 @@ def rollout(
 
 
 class _FreeTrajectories(Lockstep):
-    """Trajectories that start in motion, each at its own time, and that may diverge.
+    """Trajectories that start in motion, each at its own time.
 
     Attributes:
-        lost: Whether each trajectory has diverged, shape (B,).
+        diverged: Whether each trajectory has diverged, shape (B,).
     """
 
     def __init__(
         self,
+        robot: Robot,
         arm: Arm,
         effects: Sequence[Effect],
-        start: Motion,
-        load: Array,
-        deflections: Array,
-        resisted: Sequence[Array],
+        motions: Sequence[Motion],
+        windows: Windows,
     ) -> None:
-        """Place every trajectory in its state."""
-        self.diverged = np.zeros(len(start.q), dtype=bool)
-        super().__init__(arm, effects, start.q)
+        """Place every trajectory in the state that follows from its motion."""
+        seen = [_motor_motion(robot, effects, motion) for motion in motions]
+        pairs = [(m, RigidBody(robot.chain, m)) for m in seen]
+
+        def first(name: str) -> Array:
+            return windows.first([getattr(m, name) for m in seen])
+
+        t, q, v, a = map(first, ("t", "q", "v", "a"))
+        self.diverged = np.zeros(len(q), dtype=bool)
+        super().__init__(arm, effects, q)
         # The semi-implicit step has the speed half a step before the position.
-        v = start.v - arm.model.opt.timestep / 2 * start.a
+        v = v - arm.model.opt.timestep / 2 * a
+        deflections = _deflections(arm, effects, pairs, windows)
         for k, data in enumerate(self._datas):
-            data.time = start.t[k]
+            data.time = t[k]
             data.qvel[arm.motor] = v[k]
             data.qpos[arm.deflection], data.qvel[arm.deflection] = deflections[:, k]
-        self.temperature = start.temperature
+        if seen[0].temperature is not None:
+            self.temperature = first("temperature")
         self._read()
-        self.a, self.load = start.a.copy(), load.copy()
-        self._laws.resisted = [np.array(x) for x in resisted]
+        self.a, self.load = a, windows.first([body.load for _, body in pairs])
+        self._laws.resisted = [
+            windows.first([e.torque(m, b) for m, b in pairs])
+            for e in self._laws.resisting
+        ]
 
     def _read(self) -> None:
         self.q, self.v = self._of_motors(self._gather(self._motion))
@@ -157,33 +162,6 @@ def _deflections(
             twist = np.clip(twist, -stop[k], stop[k])
         found[:, :, k] = twist, speed
     return found
-
-
-def _start(
-    robot: Robot,
-    arm: Arm,
-    effects: Sequence[Effect],
-    motions: Sequence[Motion],
-    windows: Windows,
-) -> _FreeTrajectories:
-    seen = [_motor_motion(robot, effects, motion) for motion in motions]
-    bodies = [RigidBody(robot.chain, motion) for motion in seen]
-
-    def first(name: str) -> Array:
-        return windows.first([getattr(m, name) for m in seen])
-
-    temperature = first("temperature") if seen[0].temperature is not None else None
-    t, q, v, a, tau = map(first, ("t", "q", "v", "a", "tau"))
-    start = Motion(t, q, v, a, tau, np.ones(len(t), dtype=bool), temperature)
-    pairs = list(zip(seen, bodies, strict=True))
-    deflections = _deflections(arm, effects, pairs, windows)
-    load = windows.first([body.load for body in bodies])
-    resisted = [
-        windows.first([e.torque(m, b) for m, b in pairs])
-        for e in effects
-        if overrides(e, "resist")
-    ]
-    return _FreeTrajectories(arm, effects, start, load, deflections, resisted)
 
 
 def _motor_motion(robot: Robot, effects: Sequence[Effect], motion: Motion) -> Motion:

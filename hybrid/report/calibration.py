@@ -27,7 +27,7 @@ def errors_table(errors: Errors) -> Table:
 
 def corrections_table(calibration: Calibration) -> Table:
     """Corrections with the half-widths of their 95 % intervals."""
-    low, high = calibration.interval()
+    low, high = calibration.solution.interval()
     rows = []
     half_widths = (high - low) / 2
     for parameter, half in zip(calibration.parameters, half_widths, strict=True):
@@ -42,7 +42,7 @@ def content_from_calibration(
     calibration: Calibration, errors: Errors
 ) -> dict[str, Any]:
     """Content of a calibration for JSON, in SI units."""
-    low, high = calibration.interval()
+    low, high = calibration.solution.interval()
     solution, robot = calibration.solution, calibration.setup.robot
     chain = calibration.robot.chain
     return {
@@ -58,7 +58,7 @@ def content_from_calibration(
         "unidentifiable": list(calibration.unidentifiable),
         "rejected": [
             {"pose": x.pose + 1, "kind": x.kind, "size": x.size}
-            for x in calibration.rejected
+            for x in solution.rejected
         ],
         "noise": solution.noise,
         "observability": calibration.observability,

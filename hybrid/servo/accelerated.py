@@ -64,9 +64,6 @@ def check_gpu() -> None:
 class GpuRollout:
     """Replays of one arm where JAX computes: on a GPU if there is one.
 
-    Args:
-        robot: The arm.
-
     Raises:
         HybridError: The arm has friction that MJX would ignore.
     """

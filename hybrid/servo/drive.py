@@ -206,11 +206,8 @@ class Drive:
 def known_masses(robot: Robot, known: Mapping[str, float]) -> Array:
     """Masses of the links over those of the file, shape (n,).
 
-    Known links have their own ratio, all others the geometric mean of these.
-
-    Args:
-        robot: The arm.
-        known: Mass of the link that a joint moves, by the joint's name, [kg].
+    Known links, each by the name of the joint that moves it, [kg], have their own
+    ratio, all others the geometric mean of these.
 
     Raises:
         RobotError: No joint has that name, or its link has no mass in the file.

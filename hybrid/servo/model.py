@@ -38,12 +38,8 @@ def servo_spec(
 ) -> mujoco.MjSpec:
     """An arm with a DC motor behind a position controller at every joint.
 
-    Args:
-        robot: The arm.
-        zero: Position in the file at the zero of the log, shape (n,), [rad].
-        sign: −1 for axes that point the other way, shape (n,).
-        plays: Joints whose gear has play. Behind each is another joint, see
-            :class:`hybrid.effects.backlash.Backlash`.
+    ``zero``, [rad], and ``sign`` are those of a drive, shape (n,). Behind each of the
+    joints ``plays`` is another one, see :class:`hybrid.effects.backlash.Backlash`.
     """
     import mujoco
 
@@ -70,11 +66,7 @@ def servo_spec(
 
 
 def places(plays: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices in a compiled model: of all motor joints, and of joints for play.
-
-    Args:
-        plays: Whether the gear of each joint has play, shape (n,).
-    """
+    """Indices in a compiled model: of all motor joints, and of joints for play."""
     behind = np.cumsum(plays)
     own = np.arange(len(plays)) + behind - plays
     return own, own[plays] + 1
@@ -134,12 +126,7 @@ def _level(robot: Robot) -> float:
 
 
 def heights(robot: Robot, q: Array) -> Array:
-    """Heights of the centres of mass above the base, shape (N, n), [m].
-
-    Args:
-        robot: The arm.
-        q: Positions, shape (N, n), [rad].
-    """
+    """Heights of the centres of mass above the base, shape (N, n), [m]."""
     R, origin, _ = frames(robot.chain, q)
     centre = origin + np.einsum("kNij,kj->kNi", R, centres(robot))
     return np.asarray((centre @ _up(robot)).T)
@@ -215,12 +202,8 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
 def weight(model: Any, data: Any, own: NDArray[np.intp], q: Array, v: Array) -> Array:
     """Gravity, centrifugal and Coriolis torque of a model, shape (n,), [N·m].
 
-    Args:
-        model: Compiled model.
-        data: Its data, or that of a model with the same joints.
-        own: Its motor joints, see :func:`places`.
-        q: Positions, shape (n,), [rad].
-        v: Speeds, shape (n,), [rad/s].
+    The data may be those of a model with the same joints, of which ``own`` are the
+    motors' (:func:`places`).
     """
     import mujoco
 

@@ -44,10 +44,7 @@ def probed(
     """Change one quantity at a time, at all joints or at one, and replay.
 
     Only what is ``open_`` changes. ``hint``, of another fit, is tried as well. All have
-    the shape (len(QUANTITIES), n).
-
-    Returns:
-        Changes of the coordinates, and replay errors, shape (M, n) each, [rad].
+    the shape (len(QUANTITIES), n), and the replay errors (M, n), [rad].
     """
     changes = []
     for name, usual in _usual_changes(problem, x, hint).items():

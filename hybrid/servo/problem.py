@@ -153,19 +153,11 @@ class Problem:
         return np.asarray(out[found.free])
 
     def normal(
-        self,
-        found: Estimate,
-        slopes: Array,
-        noise: Noise,
-        spread: Array | None = None,
+        self, found: Estimate, slopes: Array, noise: Noise, spread: Array | None = None
     ) -> tuple[Array, Array]:
-        """Gauss–Newton matrix and gradient of the cost.
+        """Gauss–Newton matrix and gradient of the cost, by the slopes at an estimate.
 
-        Args:
-            found: Where.
-            slopes: From :meth:`slopes`, shape (P, M, n).
-            noise: Weights of errors.
-            spread: Prior deviations, if others, shape (len(QUANTITIES), n).
+        ``spread`` are other prior deviations, shape (len(QUANTITIES), n).
         """
         spread = self.prior.spread if spread is None else spread
         weight = noise.weights(found.errors)

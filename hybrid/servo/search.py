@@ -38,14 +38,10 @@ Place = tuple[int, int]
 
 
 class Search:
-    """The search of one set of logs.
+    """The search of one set of logs, beside parts of them that are set aside.
 
-    Args:
-        problem: The logs.
-        plain: A plain fit of them.
-        aside: The parts set aside, if there are any.
-        allowed: Parameters that may differ, shape (len(QUANTITIES), n).
-        progress: Receives each step.
+    It knows a plain fit of the logs, and the parameters that are allowed to differ,
+    shape (len(QUANTITIES), n).
     """
 
     def __init__(

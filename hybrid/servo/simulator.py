@@ -53,10 +53,8 @@ class Run:
 class ServoSimulator:
     """Open-loop replays of an arm with servos, from the first state of a stretch.
 
-    Args:
-        robot: The arm.
-        step: Longest step of the physics, [s].
-        gpu: Replay on a GPU, except with the servos of the robot file.
+    The physics has a longest step, [s]. With ``gpu`` all but the servos of the robot
+    file are replayed on a GPU.
 
     Raises:
         HybridError: A GPU is asked for, and none is there.
@@ -81,14 +79,10 @@ class ServoSimulator:
     def replay(
         self, stretches: Sequence[Stretch], drives: Sequence[Drive | None]
     ) -> list[list[Array]]:
-        """Replay every stretch with each of some servos.
+        """Positions by drive and stretch, shape (N, n) each, [rad].
 
-        Args:
-            stretches: Logs to replay.
-            drives: Servos; or only None, for those of the robot file.
-
-        Returns:
-            Positions by drive and stretch, shape (N, n) each, [rad].
+        Every stretch is replayed with each of some servos; or only None, for those of
+        the robot file.
         """
         runs = self.runs(stretches, drives)
         moved: list[Array] = [np.empty(0)] * len(runs)

@@ -44,11 +44,6 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     The attributes of the joints and their actuators change, every other byte stays.
     MJCF cannot express what :class:`DriveQuantity` calls unsaid.
 
-    Args:
-        robot: An arm read from a file.
-        drive: The servos.
-        path: The new file.
-
     Raises:
         RobotError: The file is gone, or a joint or actuator stands in another file.
     """

@@ -23,7 +23,7 @@ from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.effects import Port, effect_class
-from hybrid.excitation.folder import write_reference
+from hybrid.excitation.design import write_reference
 from hybrid.threads import one_thread
 
 _MARGIN = 1.2  # times the required evidence

@@ -16,6 +16,7 @@ from hybrid.errors import ExcitationError, HybridError, HybridWarning, RobotErro
 from hybrid.excitation.clearance import Clearance
 from hybrid.excitation.constraints import Limits
 from hybrid.excitation.experiments import (
+    Walk,
     at_speeds,
     checked,
     micro_reversals,
@@ -24,7 +25,6 @@ from hybrid.excitation.experiments import (
     speed_ladder,
     static_poses,
 )
-from hybrid.excitation.knots import Walk
 from hybrid.identification.preparation import STANDING
 from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
