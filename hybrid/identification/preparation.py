@@ -39,27 +39,6 @@ _WORTH_HALVING = 0.05  # relative fall of the error from which the cut-off is ha
 _MOST_HALVINGS = 3  # of the cut-off from the spectrum of the positions
 
 
-def prepare_motions(
-    robot: Robot, recordings: Sequence[Recording | Motion], cutoff: float | None
-) -> tuple[list[Motion], float]:
-    """Check, filter and differentiate recordings; motions are not changed.
-
-    Args:
-        robot: The arm.
-        recordings: Logs of the arm, or motions made from logs.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
-
-    Returns:
-        Motions at full rate, and the cut-off.
-
-    Raises:
-        IdentificationError: There is no recording, or the cut-off is too low for the
-            shortest one.
-        RecordingError: A recording does not fit the arm.
-    """
-    return motions_from_logs(checked_logs(robot, recordings), cutoff)
-
-
 def checked_logs(
     robot: Robot, recordings: Sequence[Recording | Motion]
 ) -> list[Recording | Motion]:
@@ -67,6 +46,10 @@ def checked_logs(
 
     A log that is given twice, under whatever name, counts once: its copy would be
     taken for motion that the fit has not seen.
+
+    Raises:
+        IdentificationError: There is no recording.
+        RecordingError: A recording does not fit the arm.
     """
     check_argument(robot, Robot, ROBOT)
     given = listed(recordings, (Recording, Motion), RECORDING)
@@ -98,7 +81,18 @@ def _hash(log: Recording | Motion, x: Array) -> str:
 def motions_from_logs(
     logs: Sequence[Recording | Motion], cutoff: float | None
 ) -> tuple[list[Motion], float]:
-    """Filter and differentiate checked logs; see :func:`prepare_motions`."""
+    """Filter and differentiate checked logs; motions made from logs are not changed.
+
+    Args:
+        logs: Checked logs, see :func:`checked_logs`, or motions.
+        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
+
+    Returns:
+        Motions at full rate, and the cut-off.
+
+    Raises:
+        IdentificationError: The cut-off is too low for the shortest log.
+    """
     if cutoff is None:
         chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
         cutoff = float(np.median(chosen)) if chosen else np.inf

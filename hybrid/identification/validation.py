@@ -16,7 +16,6 @@ from hybrid.identification.preparation import (
     checked_logs,
     log_hash,
     motions_from_logs,
-    prepare_motions,
 )
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
@@ -205,7 +204,8 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
     """
     check_argument(model, DynamicModel, MODEL)
     check_argument(recording, Recording, RECORDING)
-    motions, _ = prepare_motions(model.robot, [recording], model.cutoff)
+    logs = checked_logs(model.robot, [recording])
+    motions, _ = motions_from_logs(logs, model.cutoff)
     tau = np.concatenate([model.predict(motion) for motion in motions])
     if not np.isfinite(tau).all():
         raise RecordingError(
