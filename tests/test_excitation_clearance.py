@@ -27,7 +27,6 @@ from hybrid.excitation.clearance import (
 from hybrid.excitation.constraints import TorqueLimits
 from hybrid.excitation.path import Path, uniform
 from hybrid.robot import Robot
-from hybrid.dynamics.kinematics import frames
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 
 COMAN = Robot.load(MODELS / "coman_like.xml")

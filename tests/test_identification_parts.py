@@ -16,7 +16,6 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.errors import IdentificationError
 from hybrid.identification.consistency import physically_consistent
-from hybrid.identification.data import Data, Residual
 from hybrid.identification.fit import poor_excitation
 from hybrid.identification.friction import (
     _canonical,
@@ -40,6 +39,8 @@ from hybrid.identification.remainder import _best_inputs, _ridge_error
 from hybrid.identification.ripple import _best_orders, _ripple, in_band
 from hybrid.identification.solver import Solver
 from hybrid.recording import Recording
+from hybrid.regression.cross_products import accumulate
+from hybrid.regression.data import Data, Residual
 from hybrid.regression.problem import build_problem
 from hybrid.signals import motion_from_recording
 
@@ -311,7 +312,7 @@ def test_friction_of_the_load_is_found_where_it_is(gain):
 def normal(motions, effects=()):
     problem = build_problem(pendulum(2).chain, effects)
     known = prepare(motions, 10.0)
-    return problem, *known.products(problem).normal(np.eye(2))
+    return problem, *accumulate(problem, known).normal(np.eye(2))
 
 
 def test_links_that_are_right_stay_and_wrong_ones_become_possible():

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pendulum import pendulum, swings, with_torque
 from scipy.optimize import lsq_linear
 from scipy.stats import t as student
+from simulated import data_of
 
 from hybrid.calibration.solve import KinematicSolution
 from hybrid.effects import Scale
@@ -196,7 +197,7 @@ def test_without_a_mass_a_file_says_nothing():
 def products(count=1, seconds=10.0):
     logs = [with_torque(m, (), 0.1) for m in swings(count=count, seconds=seconds)]
     problem = build_problem(pendulum().chain, [])
-    return accumulate(problem, logs, cutoff=np.inf, standing=np.zeros(1))
+    return accumulate(problem, data_of(logs, standing=0.0))
 
 
 def test_a_block_lasts_a_quarter_of_a_second_or_longer_where_logs_are():
@@ -210,7 +211,7 @@ def test_a_sample_of_every_unknown_is_too_few():
     (m, *_) = swings(count=1, seconds=1.0)
     for samples, enough in ((problem.size, False), (problem.size + 1, True)):
         few = part(m, slice(20, 20 + samples))
-        sums = accumulate(problem, [few], cutoff=np.inf, standing=np.zeros(1))
+        sums = accumulate(problem, data_of([few], standing=0.0))
         if enough:
             solve_weighted(sums, "ls")
             continue

@@ -16,9 +16,9 @@ from simulated import (
 
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.identification import identify, validate
-from hybrid.identification.data import Data
 from hybrid.identification.identification import MOST_LEARNED
 from hybrid.identification.remainder import fit_remainder
+from hybrid.regression.data import Data
 from hybrid.signals import Motion
 
 OPTIONS = {"stages": ("rigid", "remainder"), "cutoff": 15.0}

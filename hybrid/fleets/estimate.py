@@ -20,11 +20,11 @@ from hybrid.effects import Effect
 from hybrid.effects.payload import Payload
 from hybrid.effects.registry import effect_class
 from hybrid.errors import HybridError
-from hybrid.identification.data import Data
 from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
+from hybrid.regression.data import Data
 from hybrid.signals import Motion, Sampler, autocorrelation_time
 
 _FROM_TOOL = 0.05  # m, distance of a payload's centre from the tool, and its size

@@ -23,7 +23,6 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
 from hybrid.identification.consistency import physically_consistent
-from hybrid.identification.data import Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import with_accepted
@@ -33,6 +32,7 @@ from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.data import Data
 from hybrid.regression.intervals import condition_number
 from hybrid.regression.least_squares import Estimator
 from hybrid.robot import Robot

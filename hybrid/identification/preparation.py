@@ -18,11 +18,11 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError, warn
-from hybrid.identification.data import Data, fastest
 from hybrid.inspect import check_recordings
 from hybrid.model.declared import declared_effects
 from hybrid.recording import Recording
-from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.cross_products import CrossProducts, accumulate
+from hybrid.regression.data import Data, fastest
 from hybrid.regression.least_squares import OUTLYING, solve_weighted, without_folds
 from hybrid.regression.problem import Problem, part
 from hybrid.robot import Robot
@@ -208,7 +208,7 @@ def prepare_at_best_cutoff(
         IdentificationError: Every sample is masked, or the cut-off is too low.
     """
     data = prepare(logs, cutoff)
-    products, highest, least = data.products(problem), data.cutoff, np.inf
+    products, highest, least = accumulate(problem, data), data.cutoff, np.inf
     best = data, products
     if cutoff is not None or not any(isinstance(x, Recording) for x in logs):
         return best
@@ -219,7 +219,7 @@ def prepare_at_best_cutoff(
             break
         if halvings:
             data = prepare(logs, cutoff, highest=highest)
-            products = data.products(problem)
+            products = accumulate(problem, data)
         found = solve_weighted(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, share=found.share)
         squares = summed_squares(products.held_out_squares(theta), robust)

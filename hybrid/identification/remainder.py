@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.identification.data import Data, Residual
 from hybrid.identification.gate import lowers
+from hybrid.regression.data import Data, Residual
 
 _FEWEST_SAMPLES = 200
 _LEAST_FALL = 0.01  # of the squared residuals, relative, for inputs to be of use

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.identification.data import Data
 from hybrid.identification.partial_regression import PartialRegression
 from hybrid.identification.solution import Solution
+from hybrid.regression.data import Data
 from hybrid.regression.problem import part
 from hybrid.signals import Sampler, butterworth_gain
 

@@ -9,7 +9,6 @@ import numpy as np
 from hybrid.arguments import MODEL, RECORDING, check_argument
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError, warn
-from hybrid.identification.data import check_torque, fastest
 from hybrid.identification.preparation import (
     SLOWEST,
     STANDING,
@@ -19,6 +18,7 @@ from hybrid.identification.preparation import (
 )
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
+from hybrid.regression.data import check_torque, fastest
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 

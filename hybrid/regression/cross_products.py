@@ -6,20 +6,18 @@ errors need no samples after that, so memory does not grow with the length of th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
-from hybrid.regression.chunk import Chunk, chunks_along
+from hybrid.regression.data import Data
 from hybrid.regression.problem import Problem
-from hybrid.signals import Motion, Sampler
 
 _MOST_BLOCKS = 96
 _BLOCK_SECONDS = 0.25  # shortest block
@@ -37,26 +35,6 @@ class Scores:
 
     sums: tuple[Array, ...]
     fold: NDArray[np.intp]
-
-    @classmethod
-    def empty(
-        cls,
-        sizes: Sequence[int],
-        blocks: Sequence[NDArray[np.intp]],
-        folds: Sequence[NDArray[np.intp]],
-    ) -> Self:
-        """Sums of nothing.
-
-        Args:
-            sizes: Number of rows of each joint.
-            blocks: Block of every sample, in one fold each, shape (N,) for each motion.
-            folds: Fold of every sample, shape (N,) for each motion.
-        """
-        label, first = np.unique(np.concatenate(blocks), return_index=True)
-        count = 1 + int(label.max())
-        fold = np.zeros(count, dtype=np.intp)
-        fold[label] = np.concatenate(folds)[first]
-        return cls(tuple(np.zeros((count, d, d)) for d in sizes), fold)
 
     def add(self, block: NDArray[np.intp], D: Array, moving: NDArray[np.bool_]) -> None:
         """Add rows of some samples.
@@ -94,6 +72,7 @@ class CrossProducts:
 
     Attributes:
         problem: The unknowns.
+        data: The motions.
         blocks: Rows times rows transposed, summed over each block, shape (B, P, P).
         counts: Samples of each block in which both joints moved, shape (B, n, n).
         recording: Index of the recording of each block, shape (B,).
@@ -102,11 +81,12 @@ class CrossProducts:
     """
 
     problem: Problem
+    data: Data
     blocks: Array
     counts: Array
     recording: NDArray[np.intp]
     fold: NDArray[np.intp]
-    scores: Scores | None
+    scores: Scores
 
     @cached_property
     def total(self) -> Array:
@@ -116,8 +96,7 @@ class CrossProducts:
     @cached_property
     def folds(self) -> Array:
         """Sums over the blocks of each fold, shape (F, P, P)."""
-        last = max(x.fold.max() for x in (self, self.scores) if x)
-        member = np.arange(last + 1)[:, None] == self.fold
+        member = np.arange(self.data.fold_count)[:, None] == self.fold
         return np.asarray(np.tensordot(1.0 * member, self.blocks, axes=1))
 
     def shared(self, share: Array) -> CrossProducts:
@@ -175,34 +154,14 @@ class CrossProducts:
         Args:
             theta: Solutions without each fold, shape (F, p).
         """
-        assert self.scores is not None
         return self.scores.squares(theta, self.problem.support)
 
 
-def accumulate(
-    problem: Problem,
-    motions: Sequence[Motion],
-    *,
-    cutoff: float,
-    standing: Array,
-    folds: Sequence[NDArray[np.intp]] | None = None,
-    blocks: Sequence[NDArray[np.intp]] | None = None,
-    chunks: Sequence[Iterable[Chunk]] | None = None,
-) -> CrossProducts:
+def accumulate(problem: Problem, data: Data) -> CrossProducts:
     """Sums of products of rows along motions, columns and torque filtered identically.
 
     The rows of a joint are left out while it stands still: any friction below the
     break-away torque may hold it then, so its torque tells nothing.
-
-    Args:
-        problem: The unknowns.
-        motions: Motions at full rate.
-        cutoff: Cut-off of the filter of columns and torque, [Hz]; inf for none.
-        standing: Speed of each joint below which it stands, shape (n,), [rad/s].
-        folds: Fold of every sample, shape (N,) for each motion.
-        blocks: Scoring block of every sample, shape (N,) for each motion; each block
-            lies in one fold.
-        chunks: Chunks of each motion, if they were cut before.
 
     Returns:
         Sums in about 100 blocks at most.
@@ -210,26 +169,24 @@ def accumulate(
     Raises:
         IdentificationError: Every sample is masked, or no joint moves.
     """
-    seconds = sum(m.t[-1] - m.t[0] for m in motions)
+    seconds = sum(m.t[-1] - m.t[0] for m in data.motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
-    sizes = np.diff(problem.offsets).tolist()
-    scores = Scores.empty(sizes, blocks, folds) if blocks and folds else None
+    sizes, score_fold = np.diff(problem.offsets).tolist(), data.block_folds
+    sums = tuple(np.zeros((len(score_fold), d, d)) for d in sizes)
+    scores = Scores(sums, score_fold)
     # Products and counts by recording, block and fold.
     found: dict[tuple[int, int, int], tuple[Array, Array]] = {}
-    for r, motion in enumerate(motions):
-        sampler = Sampler.for_rate(motion.rate, cutoff)
-        length = max(1, round(block_seconds * motion.rate / sampler.factor))
-        fold = folds[r] if folds else np.zeros(len(motion.t), dtype=np.intp)
-        moves = ((np.abs(motion.v) > standing) & motion.mask[:, None]).T
-        for chunk in chunks[r] if chunks else chunks_along(motion, sampler):
-            first, (D, raw) = chunk.first, chunk.rows(problem)
+    for r, motion in enumerate(data.motions):
+        moves = data.moves(motion).T
+        for chunk in data.chunks[r]:
+            first, sampler, (D, raw) = chunk.first, chunk.sampler, chunk.rows(problem)
             here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
-            if scores and blocks:
-                scores.add(blocks[r][here], raw, moves[:, here])
+            scores.add(data.blocks[r][here], raw, moves[:, here])
             moving = moves[:, here][:, :: sampler.factor].astype(float)
             D *= np.repeat(moving, sizes, axis=0)
+            length = max(1, round(block_seconds * motion.rate / sampler.factor))
             block = (first + np.arange(D.shape[1])) // length
-            own = sampler.keep(fold[here])
+            own = sampler.keep(data.folds[r][here])
             for start, stop in runs_of(block, own):
                 x, there = D[:, start:stop], moving[:, start:stop]
                 if there.any():
@@ -243,7 +200,7 @@ def accumulate(
     keys = sorted(found)
     recording, _, block_fold = np.array(keys).T
     products, counts = map(np.array, zip(*(found[k] for k in keys), strict=True))
-    return CrossProducts(problem, products, counts, recording, block_fold, scores)
+    return CrossProducts(problem, data, products, counts, recording, block_fold, scores)
 
 
 def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:
