@@ -23,7 +23,7 @@ from hybrid.identification.preparation import (
     decimated_motion,
     linear_effects,
     prepare,
-    prepare_at_best_cutoff,
+    products_at_best_cutoff,
     summed_squares,
 )
 from hybrid.identification.remainder import _candidates
@@ -253,9 +253,9 @@ def test_the_cutoff_is_halved_where_torque_is_noisy_and_kept_where_not(noise):
         logs.append(Recording(m.t, q, tau=exact.tau + shake, joints=m.joints))
     first = prepare(logs, None).cutoff
     problem = build_problem(pendulum().chain, linear_effects(pendulum()))
-    data, products = prepare_at_best_cutoff(logs, problem, robust=True)
-    assert (products.total == accumulate(problem, data).total).all()
-    halvings = np.log2(first / (found := data.cutoff))
+    products = products_at_best_cutoff(logs, problem, robust=True)
+    assert (products.total == accumulate(problem, products.data).total).all()
+    halvings = np.log2(first / (found := products.data.cutoff))
     assert halvings == pytest.approx(round(halvings)) and 0 <= halvings <= 3
     assert found >= 3.0 * 4 / 12.0 and first <= RATE / 2
 

@@ -33,7 +33,7 @@ from hybrid.identification.preparation import (
     linear_effects,
     motions_from_logs,
     prepare,
-    prepare_at_best_cutoff,
+    products_at_best_cutoff,
 )
 from hybrid.identification.remainder import _best_inputs, _ridge_error
 from hybrid.identification.ripple import _best_orders, _ripple, in_band
@@ -146,8 +146,8 @@ def test_quarters_are_of_the_samples_that_move_and_count():
 
 def test_the_cut_off_of_motions_without_a_log_is_none():
     problem = build_problem(pendulum().chain, linear_effects(pendulum()))
-    found, _ = prepare_at_best_cutoff(swings(count=2), problem, robust=True)
-    assert found.cutoff == np.inf
+    found = products_at_best_cutoff(swings(count=2), problem, robust=True)
+    assert found.data.cutoff == np.inf
 
 
 # --- remainder ------------------------------------------------------------------------
@@ -414,7 +414,7 @@ def ripples(monkeypatch, accepted):
     made._record_stage = made.recorded.append
     monkeypatch.setattr(
         "hybrid.identification.identification.find_ripples",
-        lambda data, best: {0: [wave]},
+        lambda best: {0: [wave]},
     )
     Identification.ripple_stage(made)
     return made

@@ -119,7 +119,7 @@ class Identification:
         """Fit torque ripple, which repeats with position."""
         before = self.best
         for _ in range(_MOST_ROUNDS):
-            new = find_ripples(self.data, self.best)
+            new = find_ripples(self.best)
             # At all speeds of the log, or only at speeds whose ripple is below the
             # cut-off.
             limit = partial(in_band, cutoff=self.data.cutoff)

@@ -181,14 +181,14 @@ def linear_effects(robot: Robot) -> list[Effect]:
     return [*usual, *(type(e)(e.joints) for e in found)]
 
 
-def prepare_at_best_cutoff(
+def products_at_best_cutoff(
     logs: Sequence[Recording | Motion],
     problem: Problem,
     cutoff: float | None = None,
     *,
     robust: bool,
-) -> tuple[Data, CrossProducts]:
-    """Data at the cut-off with which a linear model predicts held-out torque best.
+) -> CrossProducts:
+    """Products at the cut-off with which a linear model predicts held-out torque best.
 
     The first cut-off comes from the spectrum of the positions. Torque may be noisy at
     lower frequencies, and dry friction is noisy where the speed is. So the cut-off is
@@ -201,15 +201,12 @@ def prepare_at_best_cutoff(
         cutoff: The cut-off, if it is not to be chosen, [Hz].
         robust: Whether outlying blocks count less.
 
-    Returns:
-        The data, and the cross-products of the problem on them.
-
     Raises:
         IdentificationError: Every sample is masked, or the cut-off is too low.
     """
     data = prepare(logs, cutoff)
-    products, highest, least = accumulate(problem, data), data.cutoff, np.inf
-    best = data, products
+    best = products = accumulate(problem, data)
+    highest, least = data.cutoff, np.inf
     if cutoff is not None or not any(isinstance(x, Recording) for x in logs):
         return best
     shortest = min(float(m.t[-1] - m.t[0]) for m in data.motions)
@@ -218,16 +215,15 @@ def prepare_at_best_cutoff(
         if cutoff * shortest < FEWEST_PERIODS * data.fold_count:
             break
         if halvings:
-            data = prepare(logs, cutoff, highest=highest)
-            products = accumulate(problem, data)
+            products = accumulate(problem, prepare(logs, cutoff, highest=highest))
         found = solve_weighted(products, "wls", robust=robust)
         theta = without_folds(products, found.weight, share=found.share)
         squares = summed_squares(products.held_out_squares(theta), robust)
-        error = np.sqrt(squares / data.moving)
+        error = np.sqrt(squares / products.data.moving)
         level = float(np.log(np.maximum(error, 1e-300)).mean())
         if level > least - _WORTH_HALVING:
             break
-        best, least = (data, products), level
+        best, least = products, level
     return best
 
 
