@@ -13,7 +13,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
-from hybrid.dynamics import RigidBody
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import Effect
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.load_friction import LoadFriction
@@ -250,11 +250,8 @@ class Identification:
             )
 
     def _file_residual(self, motion: Motion) -> Array:
-        robot = self.robot
-        known = robot.joint_torque(motion.q, motion.v, motion.a)
-        known += RigidBody(robot.chain, motion).load
-        known += robot.dry_friction(motion.v)
-        return np.asarray(motion.tau - known)
+        body = RigidBody(self.robot.chain, motion)
+        return motion.tau - simulated_torque(self.robot, motion, body)
 
     def _friction_candidates(self, start: Solution) -> dict[int, list[Effect]]:
         """The effects at each joint, with nonlinear friction fitted to the residual."""

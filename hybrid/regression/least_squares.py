@@ -75,14 +75,15 @@ def solve_weighted(
     share = np.ones(len(products.counts))
     theta = solution(weight, share, None)
     if prior is not None:  # its weight against the data depends on the noise variance
-        variance = np.diag(_sigma(products, theta, share, False)).mean()
-        weight = np.eye(n) / variance
+        sigma = residual_covariance(products, theta, full=False)
+        weight = np.eye(n) / np.diag(sigma).mean()
         theta = solution(weight, share, prior)
     converged, iterations = estimator == "ls", 0
     limit = {"ls": 0, "wls": 2, "irls": _MOST_ITERATIONS}[estimator]
     while iterations < limit and not converged:
         share = _block_weights(products, theta, weight) if robust else share
-        sigma = _sigma(products, theta, share, estimator == "irls")
+        full = estimator == "irls"
+        sigma = residual_covariance(products, theta, share, full=full)
         weight = np.asarray(np.linalg.inv(sigma), dtype=np.float64)
         before, theta = theta, solution(weight, share, prior)
         change = np.abs(theta - before).max() / (np.abs(theta).max() + 1e-12)
@@ -171,13 +172,17 @@ def _bounded_solve(A: Array, b: Array, lower: Array) -> Array:
     return np.maximum(theta, lower)
 
 
-def residual_covariance(products: CrossProducts, theta: Array) -> Array:
-    """Covariance of the residuals across joints, shape (n, n), [N²·m²]."""
-    return _sigma(products, theta, np.ones(len(products.counts)), True)
+def residual_covariance(
+    products: CrossProducts,
+    theta: Array,
+    share: Array | None = None,
+    *,
+    full: bool = True,
+) -> Array:
+    """Covariance of the residuals across joints, shape (n, n), [N²·m²].
 
-
-def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> Array:
-    """Residual covariance; a floor keeps it invertible where a residual is zero.
+    A floor keeps it invertible where a residual is zero. Blocks have weights ``share``,
+    shape (B,), or 1; joints are independent if it is not ``full``.
 
     The likelihood of a full covariance has no maximum in a short log: weights grow
     until one combination of joints is fitted exactly. So its prior is inverse Wishart,
@@ -186,6 +191,7 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
 
     Source: Gelman et al. 2013, "Bayesian Data Analysis", section 3.6.
     """
+    share = np.ones(len(products.counts)) if share is None else share
     products, blocks = products.shared(share), share.sum()
     n = len(products.problem.support)
     counts = products.counts.sum(axis=0)
