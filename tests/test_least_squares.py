@@ -280,7 +280,7 @@ def test_each_fold_is_scored_by_the_others(planar):
         theta = np.linalg.solve(A, b)
         np.testing.assert_allclose(found[k], theta, rtol=1e-8)
         left = np.diag(planar.products(held).residual_products(theta))
-        of_fold = squares[products.scores.fold == k].sum(axis=0)
+        of_fold = squares[products.data.block_folds == k].sum(axis=0)
         np.testing.assert_allclose(of_fold, left, rtol=1e-8)
     samples = sum(len(m.t) for m in logs)
     assert (squares.sum(axis=0) / samples > np.diag(estimate.sigma)).all()

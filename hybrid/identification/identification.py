@@ -180,7 +180,6 @@ class Identification:
                 free,
                 weighted=replace(weighted, theta=found.theta),
                 theta=theta,
-                squares=free.products.held_out_squares(theta),
                 inertial=found.inertial,
             )
         )

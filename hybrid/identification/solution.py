@@ -27,7 +27,6 @@ class Solution:
         weighted: The solution on all samples, with its weights.
         prior: Prior of the unknowns, or None.
         theta: Solutions without each fold, shape (F, p).
-        squares: Held-out squares of each block, unfiltered, shape (B, n), [N²·m²].
         strength: Number of samples that the prior is worth.
         inertial: Physically consistent links that give these values, shape (n, 10),
             or None.
@@ -37,7 +36,6 @@ class Solution:
     weighted: WeightedSolution
     prior: Prior | None
     theta: Array
-    squares: Array
     strength: float = 0.0
     inertial: Array | None = None
 
@@ -45,6 +43,11 @@ class Solution:
     def problem(self) -> Problem:
         """The unknowns."""
         return self.products.problem
+
+    @cached_property
+    def squares(self) -> Array:
+        """Held-out squares of each block, unfiltered, shape (B, n), [N²·m²]."""
+        return self.products.held_out_squares(self.theta)
 
     @cached_property
     def estimate(self) -> Estimate:

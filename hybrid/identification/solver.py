@@ -145,8 +145,7 @@ class Solver:
         theta = without_folds(
             products, found.weight, bounded=bounded, prior=prior, share=found.share
         )
-        squares = products.held_out_squares(theta)
-        return Solution(products, found, prior, theta, squares, strength)
+        return Solution(products, found, prior, theta, strength)
 
     def least(self, solutions: Iterable[Solution]) -> Solution:
         """The first solution of least cost."""

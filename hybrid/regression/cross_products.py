@@ -6,7 +6,6 @@ errors need no samples after that, so memory does not grow with the length of th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -24,49 +23,6 @@ _BLOCK_SECONDS = 0.25  # shortest block
 
 
 @dataclass(frozen=True)
-class Scores:
-    """Sums of products of the unfiltered rows of each joint, over scoring blocks.
-
-    Attributes:
-        sums: Rows times rows transposed of each joint, summed over each block, shape
-            (B, d, d) each.
-        fold: Cross-validation fold of each block, shape (B,).
-    """
-
-    sums: tuple[Array, ...]
-    fold: NDArray[np.intp]
-
-    def add(self, block: NDArray[np.intp], D: Array, moving: NDArray[np.bool_]) -> None:
-        """Add rows of some samples.
-
-        Args:
-            block: Block of each sample, shape (N,).
-            D: Rows of all joints, shape (P, N).
-            moving: Whether each joint moves; it does not count where it stands, (n, N).
-        """
-        own = np.split(D, np.cumsum([x.shape[1] for x in self.sums])[:-1])
-        for sums, rows, moves in zip(self.sums, own, moving, strict=True):
-            for start, stop in runs_of(block, moves.astype(int)):
-                if moves[start]:
-                    part = rows[:, start:stop]
-                    sums[block[start]] += part @ part.T
-
-    def squares(self, theta: Array, support: Sequence[NDArray[np.intp]]) -> Array:
-        """Squared residuals of each block by the solution without its fold, (B, n).
-
-        Args:
-            theta: Solutions without each fold, shape (F, p).
-            support: Unknown of each row of a joint but the last, its torque.
-        """
-        own = theta[self.fold]  # (B, p)
-        found = np.empty((len(own), len(self.sums)))
-        for i, (sums, used) in enumerate(zip(self.sums, support, strict=True)):
-            c = np.concatenate([-own[:, used], np.ones((len(own), 1))], axis=1)
-            found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
-        return np.maximum(found, 0.0)
-
-
-@dataclass(frozen=True)
 class CrossProducts:
     """Sums of the rows of a problem over the samples of each block in time.
 
@@ -77,7 +33,8 @@ class CrossProducts:
         counts: Samples of each block in which both joints moved, shape (B, n, n).
         recording: Index of the recording of each block, shape (B,).
         fold: Cross-validation fold of each block, shape (B,).
-        scores: Sums of unfiltered rows, for held-out errors.
+        unfiltered: The same sums of the unfiltered rows of each joint over the blocks
+            of the data, for held-out errors, shape (B', d, d) each.
     """
 
     problem: Problem
@@ -86,7 +43,7 @@ class CrossProducts:
     counts: Array
     recording: NDArray[np.intp]
     fold: NDArray[np.intp]
-    scores: Scores
+    unfiltered: tuple[Array, ...]
 
     @cached_property
     def total(self) -> Array:
@@ -149,12 +106,16 @@ class CrossProducts:
         return np.asarray(C.T @ (self.total if sums is None else sums) @ C)
 
     def held_out_squares(self, theta: Array) -> Array:
-        """Squared residuals of each block by the solution without its fold, (B, n).
+        """Squared residuals by the solution without the fold of each block.
 
-        Args:
-            theta: Solutions without each fold, shape (F, p).
+        Solutions have shape (F, p), and squares of the blocks of the data (B', n).
         """
-        return self.scores.squares(theta, self.problem.support)
+        own, support = theta[self.data.block_folds], self.problem.support
+        found = np.empty((len(own), len(support)))
+        for i, (sums, used) in enumerate(zip(self.unfiltered, support, strict=True)):
+            c = np.concatenate([-own[:, used], np.ones((len(own), 1))], axis=1)
+            found[:, i] = np.einsum("bk,bkl,bl->b", c, sums, c)
+        return np.maximum(found, 0.0)
 
 
 def accumulate(problem: Problem, data: Data) -> CrossProducts:
@@ -171,9 +132,8 @@ def accumulate(problem: Problem, data: Data) -> CrossProducts:
     """
     seconds = sum(m.t[-1] - m.t[0] for m in data.motions)
     block_seconds = max(_BLOCK_SECONDS, seconds / _MOST_BLOCKS * 1.2)
-    sizes, score_fold = np.diff(problem.offsets).tolist(), data.block_folds
-    sums = tuple(np.zeros((len(score_fold), d, d)) for d in sizes)
-    scores = Scores(sums, score_fold)
+    sizes, count = np.diff(problem.offsets).tolist(), len(data.block_folds)
+    unfiltered = tuple(np.zeros((count, d, d)) for d in sizes)
     # Products and counts by recording, block and fold.
     found: dict[tuple[int, int, int], tuple[Array, Array]] = {}
     for r, motion in enumerate(data.motions):
@@ -181,7 +141,7 @@ def accumulate(problem: Problem, data: Data) -> CrossProducts:
         for chunk in data.chunks[r]:
             first, sampler, (D, raw) = chunk.first, chunk.sampler, chunk.rows(problem)
             here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
-            scores.add(data.blocks[r][here], raw, moves[:, here])
+            _add_by_block(unfiltered, data.blocks[r][here], raw, moves[:, here])
             moving = moves[:, here][:, :: sampler.factor].astype(float)
             D *= np.repeat(moving, sizes, axis=0)
             length = max(1, round(block_seconds * motion.rate / sampler.factor))
@@ -200,7 +160,24 @@ def accumulate(problem: Problem, data: Data) -> CrossProducts:
     keys = sorted(found)
     recording, _, block_fold = np.array(keys).T
     products, counts = map(np.array, zip(*(found[k] for k in keys), strict=True))
-    return CrossProducts(problem, data, products, counts, recording, block_fold, scores)
+    return CrossProducts(
+        problem, data, products, counts, recording, block_fold, unfiltered
+    )
+
+
+def _add_by_block(
+    sums: tuple[Array, ...],
+    block: NDArray[np.intp],
+    D: Array,
+    moving: NDArray[np.bool_],
+) -> None:
+    """Add products of rows (P, N) to the blocks of their samples, where joints move."""
+    parts = np.split(D, np.cumsum([x.shape[1] for x in sums])[:-1])
+    for own, rows, moves in zip(sums, parts, moving, strict=True):
+        for start, stop in runs_of(block, moves.astype(int)):
+            if moves[start]:
+                part = rows[:, start:stop]
+                own[block[start]] += part @ part.T
 
 
 def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:

@@ -55,9 +55,11 @@ def _of_file(
 ) -> Read:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise RobotError(f"unknown kind of robot file; valid are {', '.join(SUFFIXES)}")
+        raise RobotError(
+            f"{path}: unknown kind of robot file; valid are {', '.join(SUFFIXES)}"
+        )
     if not path.is_file():
-        raise RobotError("no such robot file")
+        raise RobotError(f"{path}: no such robot file")
     if suffix == ".xacro":
         content = expanded(path).encode()
     else:
