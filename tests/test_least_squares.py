@@ -271,7 +271,7 @@ def test_each_fold_is_scored_by_the_others(planar):
     folds = [((m.t + 3 * k) // 1.0).astype(int) % 4 for k, m in enumerate(logs)]
     products = planar.products(logs, folds=folds)
     estimate = solve(products, "irls")
-    found = without_folds(products, estimate.weight)
+    found = without_folds(products, estimate)
     squares = products.held_out_squares(found)
     for k in range(4):
         rest = [replace(m, mask=f != k) for m, f in zip(logs, folds, strict=True)]

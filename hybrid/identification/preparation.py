@@ -217,7 +217,7 @@ def products_at_best_cutoff(
         if halvings:
             products = accumulate(problem, prepare(logs, cutoff, highest=highest))
         found = solve_weighted(products, "wls", robust=robust)
-        theta = without_folds(products, found.weight, share=found.share)
+        theta = without_folds(products, found)
         squares = summed_squares(products.held_out_squares(theta), robust)
         error = np.sqrt(squares / products.data.moving)
         level = float(np.log(np.maximum(error, 1e-300)).mean())

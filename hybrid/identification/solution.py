@@ -13,7 +13,6 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.cross_products import CrossProducts, accumulate
 from hybrid.regression.intervals import Estimate, with_uncertainty
 from hybrid.regression.least_squares import WeightedSolution, residual_covariance
-from hybrid.regression.prior import Prior
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 
@@ -25,7 +24,6 @@ class Solution:
     Attributes:
         products: Cross-products of the data.
         weighted: The solution on all samples, with its weights.
-        prior: Prior of the unknowns, or None.
         theta: Solutions without each fold, shape (F, p).
         strength: Number of samples that the prior is worth.
         inertial: Physically consistent links that give these values, shape (n, 10),
@@ -34,7 +32,6 @@ class Solution:
 
     products: CrossProducts
     weighted: WeightedSolution
-    prior: Prior | None
     theta: Array
     strength: float = 0.0
     inertial: Array | None = None
@@ -61,9 +58,7 @@ class Solution:
         whole, products = self.problem.complete(), self.products
         same = whole is self.problem
         complete = products if same else accumulate(whole, products.data)
-        found = with_uncertainty(
-            products, self.weighted, prior=self.prior, complete=complete
-        )
+        found = with_uncertainty(products, self.weighted, complete)
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)
         known = (scatter > 0) & (found.std > 0)

@@ -142,10 +142,8 @@ class Solver:
         found = solve_weighted(
             products, estimator, bounded=bounded, robust=self._robust, prior=prior
         )
-        theta = without_folds(
-            products, found.weight, bounded=bounded, prior=prior, share=found.share
-        )
-        return Solution(products, found, prior, theta, strength)
+        theta = without_folds(products, found)
+        return Solution(products, found, theta, strength)
 
     def least(self, solutions: Iterable[Solution]) -> Solution:
         """The first solution of least cost."""

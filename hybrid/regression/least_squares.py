@@ -33,7 +33,7 @@ OUTLYING = 3.0  # of the median misfit of a block: above it, a block counts less
 
 @dataclass(frozen=True)
 class WeightedSolution:
-    """A solution and the weights that it was found with.
+    """A solution, and the weights, bounds and prior that it was found with.
 
     Attributes:
         theta: Unknowns, shape (p,).
@@ -41,6 +41,8 @@ class WeightedSolution:
         share: Weight of each block in the last iteration, from 0 to 1, shape (B,).
         iterations: Number of reweightings.
         converged: False if the iteration limit was reached first.
+        lower: Smallest value of each unknown, shape (p,), or None for no bounds.
+        prior: Prior of the unknowns, or None.
     """
 
     theta: Array
@@ -48,6 +50,8 @@ class WeightedSolution:
     share: Array
     iterations: int
     converged: bool
+    lower: Array | None
+    prior: Prior | None
 
 
 def solve_weighted(
@@ -58,7 +62,23 @@ def solve_weighted(
     robust: bool = False,
     prior: Prior | None = None,
 ) -> WeightedSolution:
-    """Solve without a covariance; see :func:`hybrid.regression.intervals.solve`."""
+    """Least squares over all joints of an arm, without a covariance.
+
+    ``ls`` gives all joints the same weight. ``wls`` weights each joint by its residual
+    variance. ``irls`` weights by the full residual covariance across joints, iterated
+    to convergence.
+
+    Args:
+        products: Cross-products of the data.
+        estimator: One of the three.
+        bounded: Keep physically non-negative gains at or above zero.
+        robust: Give less weight to blocks whose misfit is far above the median
+            (contacts, glitches of the log).
+        prior: Prior of the unknowns.
+
+    Raises:
+        IdentificationError: There are fewer samples than unknowns.
+    """
     n, p = len(products.problem.support), products.problem.size
     if products.samples * n <= p:
         raise IdentificationError(
@@ -89,31 +109,15 @@ def solve_weighted(
         change = np.abs(theta - before).max() / (np.abs(theta).max() + 1e-12)
         converged, iterations = bool(change < _TOLERANCE), iterations + 1
     converged = converged or estimator == "wls"
-    return WeightedSolution(theta, weight, share, iterations, converged)
+    return WeightedSolution(theta, weight, share, iterations, converged, lower, prior)
 
 
-def without_folds(
-    products: CrossProducts,
-    weight: Array,
-    *,
-    bounded: bool = False,
-    prior: Prior | None = None,
-    share: Array | None = None,
-) -> Array:
-    """Solutions that each leave one fold out, at given weights, shape (F, p).
-
-    Args:
-        products: Cross-products with folds.
-        weight: Weight across joints, shape (n, n).
-        bounded: Keep physically non-negative gains at or above zero.
-        prior: Prior of the unknowns.
-        share: Weight of each block, from 0 to 1, shape (B,); all 1 by default.
-    """
-    if share is not None:
-        products = products.shared(share)
-    lower = products.problem.lower if bounded else None
-    each = zip(*products.without_folds(weight), strict=True)
-    return np.array([_optimum(A, b, lower, prior) for A, b in each])
+def without_folds(products: CrossProducts, found: WeightedSolution) -> Array:
+    """Solutions that each leave one fold out, at the weights of one, shape (F, p)."""
+    each = products.shared(found.share).without_folds(found.weight)
+    return np.array(
+        [_optimum(A, b, found.lower, found.prior) for A, b in zip(*each, strict=True)]
+    )
 
 
 def _optimum(A: Array, b: Array, lower: Array | None, prior: Prior | None) -> Array:
