@@ -24,6 +24,7 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.identification import DynamicModel
 from hybrid.regression.cross_products import accumulate
+from hybrid.regression.data import Data
 from hybrid.regression.intervals import Estimate, solve
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
@@ -67,8 +68,9 @@ def identify_plainly(robot: Robot, motion: Motion) -> tuple[Estimate, dict[str, 
     problem = build_problem(robot.chain, plain_effects(robot))
     assert problem.support  # worked out once for each arm
     times.append(process_time())
-    standing = np.zeros(robot.size)
-    products = accumulate(problem, [motion], cutoff=np.inf, standing=standing)
+    fold = np.zeros(len(motion.t), dtype=np.intp)
+    data = Data((motion,), (fold,), np.inf, np.zeros(robot.size))
+    products = accumulate(problem, data)
     times.append(process_time())
     estimate = solve(products, "irls")
     times.append(process_time())

@@ -27,6 +27,7 @@ from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.identification.preparation import linear_effects, prepare
 from hybrid.identification.solver import Solver
+from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import Estimate
 from hybrid.regression.problem import build_problem
 from hybrid.report import Table, markdown_table, provenance, write_results
@@ -60,7 +61,7 @@ def of_laws(robot: Robot, motion: Motion, laws: tuple[Effect, ...], arm: Arm) ->
     """The estimate of one half in given laws, shapes included."""
     solver = Solver(robot, data := prepare([motion], arm.cutoff), "irls", robust=False)
     problem = build_problem(robot.chain, (*linear_effects(robot), *arm.effects))
-    solver.plain(products := data.products(problem))
+    solver.plain(products := accumulate(problem, data))
     found = solver.with_effects(solver.best(products), laws)
     return found.problem.base.names, found.estimate
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -37,9 +36,9 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.identification import DynamicModel
-from hybrid.identification.data import Data
 from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.regression.cross_products import accumulate
+from hybrid.regression.data import Data
 from hybrid.regression.intervals import solve
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
 from hybrid.regression.problem import build_problem
@@ -194,12 +193,8 @@ def rigid(
         explained: Torque that the other stages explain, shape (N, n) for each motion,
             [N·m].
     """
-    motions = [
-        replace(motion, tau=motion.tau - known)
-        for motion, known in zip_longest(data.motions, explained, fillvalue=0.0)
-    ]
     problem = build_problem(robot.chain, effects)
-    products = accumulate(problem, motions, cutoff=data.cutoff, standing=data.standing)
+    products = accumulate(problem, data.minus(explained or None))
     base, found = problem.fitted(solve(products, estimator).theta)
     return DynamicModel(robot, base, found, None, data.cutoff, data.standing)
 

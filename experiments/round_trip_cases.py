@@ -26,7 +26,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.diagnose import examine
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridWarning
-from hybrid.identification.preparation import prepare_motions
+from hybrid.identification.preparation import checked_logs, motions_from_logs
 from hybrid.plant import install
 from hybrid.plant.scale import joint_scales
 from hybrid.signals import motion_from_recording
@@ -78,7 +78,8 @@ def _identified(
 ) -> Case:
     model = _model(robot, fitting)
     fit, score = (
-        prepare_motions(robot, x, model.cutoff)[0] for x in (fitting, scoring)
+        motions_from_logs(checked_logs(robot, x), model.cutoff)[0]
+        for x in (fitting, scoring)
     )
     return Case(name, model, fit, score)
 

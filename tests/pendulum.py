@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
-from hybrid.diagnosis.gap.gap import Gap, simulated_torque
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import measure_gap
-from hybrid.dynamics import RigidBody
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import Effect
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain

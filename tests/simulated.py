@@ -15,6 +15,7 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning
 from hybrid.identification import Fit, Validation, identify, validate
 from hybrid.plant import load_truth, random_fourier, simulate
+from hybrid.regression.data import Data
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -69,6 +70,13 @@ def stacked(problem, motion):
 def with_torque(motion, tau):
     """The same motion with a torque."""
     return replace(motion, tau=np.asarray(tau))
+
+
+def data_of(chosen, *, cutoff=np.inf, standing=-1.0, folds=None):
+    """Data of motions, by default in one fold and with every sample moving."""
+    folds = folds or [np.zeros(len(m.t), dtype=int) for m in chosen]
+    still = np.full(chosen[0].q.shape[1], standing)
+    return Data(tuple(chosen), tuple(folds), cutoff, still)
 
 
 def coloured(rng, samples, covariance, memory):

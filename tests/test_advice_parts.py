@@ -38,8 +38,8 @@ from hybrid.diagnosis.advice.separation import (
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import split
+from hybrid.dynamics import simulated_torque
 from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay

@@ -9,6 +9,7 @@ import pytest
 from arms import MODELS, public_arm, random_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from simulated import data_of
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.dynamics.pseudo_inertia import (
@@ -112,8 +113,7 @@ def experiment(problem, seed, *, samples=600, noise=0.0):
 
 def crossed(problem, motion):
     """Cross-products of all samples of a motion."""
-    standing = np.full(problem.chain.size, -1.0)
-    return accumulate(problem, [motion], cutoff=np.inf, standing=standing)
+    return accumulate(problem, data_of([motion]))
 
 
 def rms(products, theta):

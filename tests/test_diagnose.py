@@ -16,9 +16,8 @@ from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import Contacts
 from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
 from hybrid.diagnosis.gap.background import friction_near_rest, soft_friction
-from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap, split, unseen_samples
-from hybrid.dynamics import RigidBody
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact

@@ -20,9 +20,8 @@ from hybrid.diagnosis.answer.motion_gap import (
 from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.replay import Replay, simulated_positions
 from hybrid.diagnosis.diagnose import diagnose, examine
-from hybrid.diagnosis.gap.gap import simulated_torque
 from hybrid.diagnosis.gap.measure import measure_gap, split, unseen_samples
-from hybrid.dynamics import RigidBody
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import effect_classes
 from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.coulomb import Coulomb

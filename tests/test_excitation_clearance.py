@@ -27,7 +27,6 @@ from hybrid.excitation.clearance import (
 from hybrid.excitation.constraints import TorqueLimits
 from hybrid.excitation.path import Path, uniform
 from hybrid.robot import Robot
-from hybrid.robot.chain import zero_frames
 from hybrid.robot.geometry import Capsules, capsules_from_robot
 
 COMAN = Robot.load(MODELS / "coman_like.xml")
@@ -141,7 +140,7 @@ def test_capsules_cover_every_point_of_a_mesh():
 
     robot = public_arm("ur10")
     capsules = capsules_from_robot(robot)
-    rotation, origin = zero_frames(robot.chain)
+    rotation, origin, _ = (x[:, 0] for x in frames(robot.chain, np.zeros((1, 6))))
     model = pin.buildModelFromUrdf(robot.path)
     root = robot.path.split("/example-robot-data/")[0]
     kind = pin.GeometryType.COLLISION

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pendulum import RATE, pendulum, swings, with_torque
+from simulated import data_of
 
 from hybrid.effects import JointState
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.spring import Spring
 from hybrid.effects.viscous import Viscous
 from hybrid.identification.consistency import physically_consistent
-from hybrid.identification.data import check_torque, fastest, visited
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.identification import Identification
 from hybrid.identification.partial_regression import PartialRegression
@@ -23,12 +23,13 @@ from hybrid.identification.preparation import (
     decimated_motion,
     linear_effects,
     prepare,
-    prepare_at_best_cutoff,
+    products_at_best_cutoff,
     summed_squares,
 )
 from hybrid.identification.remainder import _candidates
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import accumulate
+from hybrid.regression.data import check_torque, fastest, visited
 from hybrid.regression.least_squares import pseudo_solve
 from hybrid.regression.prior import _UNKNOWN_SIZE, link_std
 from hybrid.regression.problem import build_problem
@@ -223,7 +224,7 @@ def test_a_joint_is_offered_its_own_state_and_that_of_its_neighbours():
 def test_links_do_not_depend_on_the_units_that_data_are_weighed_in():
     robot = pendulum(2)
     problem = build_problem(robot.chain, [])
-    A, b = data().products(problem).normal(np.eye(2))
+    A, b = accumulate(problem, data()).normal(np.eye(2))
     found = [physically_consistent(problem, w * A, w * b).inertial for w in (1.0, 1e-6)]
     np.testing.assert_allclose(found[0], found[1], atol=1e-4)
 
@@ -252,9 +253,9 @@ def test_the_cutoff_is_halved_where_torque_is_noisy_and_kept_where_not(noise):
         logs.append(Recording(m.t, q, tau=exact.tau + shake, joints=m.joints))
     first = prepare(logs, None).cutoff
     problem = build_problem(pendulum().chain, linear_effects(pendulum()))
-    data, products = prepare_at_best_cutoff(logs, problem, robust=True)
-    assert (products.total == data.products(problem).total).all()
-    halvings = np.log2(first / (found := data.cutoff))
+    products = products_at_best_cutoff(logs, problem, robust=True)
+    assert (products.total == accumulate(problem, products.data).total).all()
+    halvings = np.log2(first / (found := products.data.cutoff))
     assert halvings == pytest.approx(round(halvings)) and 0 <= halvings <= 3
     assert found >= 3.0 * 4 / 12.0 and first <= RATE / 2
 
@@ -263,9 +264,8 @@ def test_the_cutoff_is_halved_where_torque_is_noisy_and_kept_where_not(noise):
 def test_cross_products_are_in_a_hundred_blocks_at_most(seconds):
     robot = pendulum()
     motions = [with_torque(m, ()) for m in swings(count=2, seconds=seconds)]
-    products = accumulate(
-        build_problem(robot.chain, []), motions, cutoff=10.0, standing=np.zeros(1)
-    )
+    data = data_of(motions, cutoff=10.0, standing=0.0)
+    products = accumulate(build_problem(robot.chain, []), data)
     assert 10 <= len(products.blocks) <= 100
     assert len(products.blocks) > 60 or seconds < 100.0
 

@@ -16,7 +16,6 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.errors import IdentificationError
 from hybrid.identification.consistency import physically_consistent
-from hybrid.identification.data import Data, Residual
 from hybrid.identification.fit import poor_excitation
 from hybrid.identification.friction import (
     _canonical,
@@ -34,12 +33,14 @@ from hybrid.identification.preparation import (
     linear_effects,
     motions_from_logs,
     prepare,
-    prepare_at_best_cutoff,
+    products_at_best_cutoff,
 )
 from hybrid.identification.remainder import _best_inputs, _ridge_error
 from hybrid.identification.ripple import _best_orders, _ripple, in_band
 from hybrid.identification.solver import Solver
 from hybrid.recording import Recording
+from hybrid.regression.cross_products import accumulate
+from hybrid.regression.data import Data, Residual
 from hybrid.regression.problem import build_problem
 from hybrid.signals import motion_from_recording
 
@@ -145,8 +146,8 @@ def test_quarters_are_of_the_samples_that_move_and_count():
 
 def test_the_cut_off_of_motions_without_a_log_is_none():
     problem = build_problem(pendulum().chain, linear_effects(pendulum()))
-    found, _ = prepare_at_best_cutoff(swings(count=2), problem, robust=True)
-    assert found.cutoff == np.inf
+    found = products_at_best_cutoff(swings(count=2), problem, robust=True)
+    assert found.data.cutoff == np.inf
 
 
 # --- remainder ------------------------------------------------------------------------
@@ -311,7 +312,7 @@ def test_friction_of_the_load_is_found_where_it_is(gain):
 def normal(motions, effects=()):
     problem = build_problem(pendulum(2).chain, effects)
     known = prepare(motions, 10.0)
-    return problem, *known.products(problem).normal(np.eye(2))
+    return problem, *accumulate(problem, known).normal(np.eye(2))
 
 
 def test_links_that_are_right_stay_and_wrong_ones_become_possible():
@@ -413,7 +414,7 @@ def ripples(monkeypatch, accepted):
     made._record_stage = made.recorded.append
     monkeypatch.setattr(
         "hybrid.identification.identification.find_ripples",
-        lambda data, best: {0: [wave]},
+        lambda best: {0: [wave]},
     )
     Identification.ripple_stage(made)
     return made

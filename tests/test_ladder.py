@@ -14,10 +14,10 @@ from hybrid.effects import JointState
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification import identify, validate
-from hybrid.identification.data import Data
 from hybrid.identification.gate import lowers, with_accepted
 from hybrid.identification.preparation import decimated_motion
 from hybrid.identification.solver import Solver
+from hybrid.regression.data import Data
 from hybrid.regression.prior import file_prior, link_std
 from hybrid.regression.problem import part
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import arm, linear_problem, motions, stacked, with_torque
+from simulated import arm, data_of, linear_problem, motions, stacked, with_torque
 
 from hybrid.regression import intervals
 from hybrid.regression.cross_products import accumulate
@@ -18,8 +18,7 @@ def products_of(noise, seconds=20.0):
     problem, (m,) = linear_problem(robot), motions(robot, count=1, duration=seconds)
     theta = np.random.default_rng(1).normal(size=problem.size)
     log = with_torque(m, stacked(problem, m) @ theta + noise(m))
-    standing = np.full(2, -1.0)
-    return accumulate(problem, [log], cutoff=np.inf, standing=standing), theta
+    return accumulate(problem, data_of([log])), theta
 
 
 def white(m):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pendulum import pendulum, swings, with_torque
 from scipy.optimize import lsq_linear
 from scipy.stats import t as student
+from simulated import data_of
 
 from hybrid.calibration.solve import KinematicSolution
 from hybrid.effects import Scale
@@ -44,8 +45,9 @@ from hybrid.signals import Sampler
 def test_an_interval_is_that_of_students_distribution(level, inside):
     theta, covariance = np.array([1.0, -2.0]), np.diag([4.0, 0.25])
     made = Estimate(
-        theta, np.eye(1), np.ones(3), 1, True, covariance, np.eye(1), 1.0, 7, ()
-    )
+        theta, np.eye(1), np.ones(3), 1, True, None, None,
+        covariance, np.eye(1), 1.0, 7, (),
+    )  # fmt: skip
     calibrated = object.__new__(KinematicSolution)
     vars(calibrated).update(x=theta, covariance=covariance, degrees=np.full(2, 7.0))
     for found in (made, calibrated):
@@ -196,7 +198,7 @@ def test_without_a_mass_a_file_says_nothing():
 def products(count=1, seconds=10.0):
     logs = [with_torque(m, (), 0.1) for m in swings(count=count, seconds=seconds)]
     problem = build_problem(pendulum().chain, [])
-    return accumulate(problem, logs, cutoff=np.inf, standing=np.zeros(1))
+    return accumulate(problem, data_of(logs, standing=0.0))
 
 
 def test_a_block_lasts_a_quarter_of_a_second_or_longer_where_logs_are():
@@ -210,7 +212,7 @@ def test_a_sample_of_every_unknown_is_too_few():
     (m, *_) = swings(count=1, seconds=1.0)
     for samples, enough in ((problem.size, False), (problem.size + 1, True)):
         few = part(m, slice(20, 20 + samples))
-        sums = accumulate(problem, [few], cutoff=np.inf, standing=np.zeros(1))
+        sums = accumulate(problem, data_of([few], standing=0.0))
         if enough:
             solve_weighted(sums, "ls")
             continue

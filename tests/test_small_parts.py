@@ -23,12 +23,12 @@ from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.errors import HybridWarning
 from hybrid.excitation import multisine
 from hybrid.excitation.clearance import ends_in_world
-from hybrid.identification.data import Residual
 from hybrid.identification.friction import _columns, _knots, _maps, _shapes
 from hybrid.identification.remainder import _best_inputs, _candidates
 from hybrid.plant import Plant, random_fourier
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import limits
+from hybrid.regression.data import Residual
 from hybrid.regression.least_squares import _bounded_solve
 from hybrid.robot.geometry import Capsules
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.calibration.steps import FixedStep, Frame, Step, follow, start
-from hybrid.robot.chain import Chain, zero_frames
+from hybrid.dynamics.kinematics import frames
+from hybrid.robot.chain import Chain
 
 PARALLEL = 0.1  # sine of the angle below which two axes count as parallel
 
@@ -40,8 +41,7 @@ class Geometry:
 
 def geometry_from_chain(chain: Chain) -> Geometry:
     """Rows of an arm; their parameters are named by joint, as ``theta_elbow``."""
-    rotation, point = zero_frames(chain)
-    axis = np.einsum("kij,kj->ki", rotation, chain.axis)
+    rotation, point, axis = (x[:, 0] for x in frames(chain, np.zeros((1, chain.size))))
     normals = _normals(axis, point, rotation[-1])
     R, origin = _axes(normals[0].x, axis[0]), point[0]
     rows: list[tuple[FixedStep | Step, ...]] = []
@@ -72,7 +72,7 @@ def chain_from_values(
     """
     q = np.zeros((1, chain.size))
     old = new = start(q)
-    rotations, origins = zero_frames(chain)
+    rotations, origins, _ = (x[:, 0] for x in frames(chain, q))
     rotation, translation = np.empty((chain.size, 3, 3)), np.empty((chain.size, 3))
     parent, parent_origin = np.eye(3), np.zeros(3)
     for k, row in enumerate(geometry.rows):

@@ -12,7 +12,7 @@ from hybrid.exports import export, read_manifest
 from hybrid.exports.manifest import FILE as MANIFEST
 from hybrid.exports.simulator.check import gaps
 from hybrid.identification import DynamicModel
-from hybrid.identification.preparation import prepare_motions
+from hybrid.identification.preparation import checked_logs, motions_from_logs
 from hybrid.names import file_stem
 from hybrid.signals import Motion
 
@@ -94,7 +94,7 @@ def _motions(args: Namespace, model: DynamicModel, screen: Screen) -> list[Motio
             f"formats {', '.join(_FITTED)}"
         )
     logs = options.read_logs(args, screen, model.robot.joints)
-    return prepare_motions(model.robot, logs, model.cutoff)[0]
+    return motions_from_logs(checked_logs(model.robot, logs), model.cutoff)[0]
 
 
 def _gap(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -61,27 +62,26 @@ class ArmRemainder:
     @cached_property
     def _law(self) -> Law:
         """All mixtures as one compiled function of positions and speeds."""
-        tape, torque = Tape(), [0.0] * self.size
-        names = tuple(f"{x}[{j}]" for x in "qv" for j in range(self.size))
+        tape, n = Tape(), self.size
+        names = tuple(f"{x}[{j}]" for x in "qv" for j in range(n))
         given = [tape.input(name) for name in names]
-        for part in self.parts:
-            seen = [*part.positions, *(self.size + j for j in part.speeds)]
-            (torque[part.joint],), _ = part.regression.at_instant(
-                [given[k] for k in seen]
-            )
-        return Law(tape, tuple(torque), names)
+        mean, _ = self.at_instant(given[:n], given[n:])
+        return Law(tape, tuple(mean), names)
 
-    def predict_distribution(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Mean [N·m] and variance [(N·m)²] of the torque, shape (N, n) each.
+    def at_instant(
+        self, q: Sequence[Any], v: Sequence[Any]
+    ) -> tuple[list[Any], list[Any]]:
+        """Mean [N·m] and variance [(N·m)²] of each torque, by arithmetic on scalars.
 
-        The variance of a joint without a remainder is NaN.
+        The variance of a joint without a remainder is NaN. Positions and speeds of all
+        joints are numbers, arrays, or symbols of a tape.
         """
-        mean = np.zeros((len(q), self.size))
-        variance = np.full((len(q), self.size), np.nan)
+        mean, variance = [0.0] * self.size, [np.nan] * self.size
         for part in self.parts:
-            x = part.inputs(q, v)
-            m, s = part.regression.predict_distribution(x)
-            mean[:, part.joint], variance[:, part.joint] = m[:, 0], s[:, 0]
+            seen = [*(q[j] for j in part.positions), *(v[j] for j in part.speeds)]
+            (mean[part.joint],), (variance[part.joint],) = part.regression.at_instant(
+                seen
+            )
         return mean, variance
 
     def as_dict(self) -> list[dict[str, object]]:

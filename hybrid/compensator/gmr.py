@@ -198,17 +198,7 @@ class GaussianMixtureRegression:
         )
 
     def predict(self, x: ArrayLike) -> Array:
-        """Expected remaining torque.
-
-        Args:
-            x: Inputs, shape (N, d), [unit of the training inputs].
-
-        Returns:
-            Mean, within ±``bound``, zero far from the data, shape (N, m), [N·m].
-
-        Raises:
-            HybridError: ``x`` has the wrong shape or holds NaN or infinity.
-        """
+        """Expected remaining torque, as :meth:`predict_distribution` gives it."""
         return self.predict_distribution(x)[0]
 
     def predict_distribution(self, x: ArrayLike) -> tuple[Array, Array]:
@@ -218,7 +208,8 @@ class GaussianMixtureRegression:
             x: Inputs, shape (N, d), [unit of the training inputs].
 
         Returns:
-            Mean, shape (N, m), [N·m], and variance, shape (N, m), [(N·m)²].
+            Mean, within ±``bound``, zero far from the data, shape (N, m), [N·m], and
+            variance, shape (N, m), [(N·m)²].
 
         Raises:
             HybridError: ``x`` has the wrong shape or holds NaN or infinity.

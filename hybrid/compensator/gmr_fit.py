@@ -62,18 +62,10 @@ def choose_components(
 def predictive_log_likelihood(
     model: GaussianMixtureRegression, x: Array, y: Array
 ) -> float:
-    """Mean log-likelihood of y under the predicted mean and variance.
+    """Log-likelihood of torque y, summed over outputs, mean over samples, [nat].
 
     Bound and fade are included, so that a few samples outside the training range cannot
     outweigh all others.
-
-    Args:
-        model: The regression to score.
-        x: Inputs, shape (N, d), [unit of the training inputs].
-        y: Remaining torque, shape (N, m), [N·m].
-
-    Returns:
-        Log-likelihood summed over outputs, mean over samples, [nat].
     """
     mean, variance = model.predict_distribution(x)
     terms = np.log(2.0 * np.pi * variance) + (y - mean) ** 2 / variance

@@ -1,7 +1,7 @@
 """Batched rigid-body dynamics."""
 
 from hybrid.dynamics.base import BaseParameters, base_parameters, inertial_labels
-from hybrid.dynamics.body import RigidBody
+from hybrid.dynamics.body import RigidBody, simulated_torque
 from hybrid.dynamics.law import Law
 from hybrid.dynamics.regressor import (
     inverse_dynamics,
@@ -31,6 +31,7 @@ __all__ = [
     "regressor_gradient",
     "regressor_law",
     "rich_motion",
+    "simulated_torque",
     "stacked_base",
     "stacked_columns",
     "torque_gradient",

@@ -10,6 +10,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import frames
 from hybrid.dynamics.regressor import inverse_dynamics, regressor
+from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
 
@@ -130,3 +131,12 @@ class RigidBody:
 
     def _torque(self, q: Array, v: Array, a: Array) -> Array:
         return inverse_dynamics(self.chain, self.inertial, q, v, a)
+
+
+def simulated_torque(robot: Robot, motion: Motion, body: RigidBody) -> Array:
+    """Drive torque that the simulator needs along a motion, shape (N, n), [N·m]."""
+    return (
+        body.load
+        + robot.joint_torque(motion.q, motion.v, motion.a)
+        + robot.dry_friction(motion.v)
+    )

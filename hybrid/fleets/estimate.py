@@ -20,11 +20,11 @@ from hybrid.effects import Effect
 from hybrid.effects.payload import Payload
 from hybrid.effects.registry import effect_class
 from hybrid.errors import HybridError
-from hybrid.identification.data import Data
 from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
+from hybrid.regression.data import Data
 from hybrid.robot.spatial import inertial_about
 from hybrid.signals import Motion, Sampler, autocorrelation_time
 

@@ -20,7 +20,7 @@ from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identification.data import Data
+from hybrid.regression.data import Data
 from hybrid.signals import Sampler
 
 _THRESHOLDS = 16

@@ -13,7 +13,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
-from hybrid.dynamics import RigidBody
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import Effect
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.load_friction import LoadFriction
@@ -23,7 +23,6 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
 from hybrid.identification.consistency import physically_consistent
-from hybrid.identification.data import Data
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
 from hybrid.identification.gate import with_accepted
@@ -33,6 +32,7 @@ from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.data import Data
 from hybrid.regression.intervals import condition_number
 from hybrid.regression.least_squares import Estimator
 from hybrid.robot import Robot
@@ -119,7 +119,7 @@ class Identification:
         """Fit torque ripple, which repeats with position."""
         before = self.best
         for _ in range(_MOST_ROUNDS):
-            new = find_ripples(self.data, self.best)
+            new = find_ripples(self.best)
             # At all speeds of the log, or only at speeds whose ripple is below the
             # cut-off.
             limit = partial(in_band, cutoff=self.data.cutoff)
@@ -180,7 +180,6 @@ class Identification:
                 free,
                 weighted=replace(weighted, theta=found.theta),
                 theta=theta,
-                squares=free.products.held_out_squares(theta),
                 inertial=found.inertial,
             )
         )
@@ -250,11 +249,8 @@ class Identification:
             )
 
     def _file_residual(self, motion: Motion) -> Array:
-        robot = self.robot
-        known = robot.joint_torque(motion.q, motion.v, motion.a)
-        known += RigidBody(robot.chain, motion).load
-        known += robot.dry_friction(motion.v)
-        return np.asarray(motion.tau - known)
+        body = RigidBody(self.robot.chain, motion)
+        return motion.tau - simulated_torque(self.robot, motion, body)
 
     def _friction_candidates(self, start: Solution) -> dict[int, list[Effect]]:
         """The effects at each joint, with nonlinear friction fitted to the residual."""

@@ -18,11 +18,11 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError, warn
-from hybrid.identification.data import Data, fastest
 from hybrid.inspect import check_recordings
 from hybrid.model.declared import declared_effects
 from hybrid.recording import Recording
-from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.cross_products import CrossProducts, accumulate
+from hybrid.regression.data import Data, fastest
 from hybrid.regression.least_squares import OUTLYING, solve_weighted, without_folds
 from hybrid.regression.problem import Problem, part
 from hybrid.robot import Robot
@@ -39,27 +39,6 @@ _WORTH_HALVING = 0.05  # relative fall of the error from which the cut-off is ha
 _MOST_HALVINGS = 3  # of the cut-off from the spectrum of the positions
 
 
-def prepare_motions(
-    robot: Robot, recordings: Sequence[Recording | Motion], cutoff: float | None
-) -> tuple[list[Motion], float]:
-    """Check, filter and differentiate recordings; motions are not changed.
-
-    Args:
-        robot: The arm.
-        recordings: Logs of the arm, or motions made from logs.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
-
-    Returns:
-        Motions at full rate, and the cut-off.
-
-    Raises:
-        IdentificationError: There is no recording, or the cut-off is too low for the
-            shortest one.
-        RecordingError: A recording does not fit the arm.
-    """
-    return motions_from_logs(checked_logs(robot, recordings), cutoff)
-
-
 def checked_logs(
     robot: Robot, recordings: Sequence[Recording | Motion]
 ) -> list[Recording | Motion]:
@@ -67,6 +46,10 @@ def checked_logs(
 
     A log that is given twice, under whatever name, counts once: its copy would be
     taken for motion that the fit has not seen.
+
+    Raises:
+        IdentificationError: There is no recording.
+        RecordingError: A recording does not fit the arm.
     """
     check_argument(robot, Robot, ROBOT)
     given = listed(recordings, (Recording, Motion), RECORDING)
@@ -98,7 +81,18 @@ def _hash(log: Recording | Motion, x: Array) -> str:
 def motions_from_logs(
     logs: Sequence[Recording | Motion], cutoff: float | None
 ) -> tuple[list[Motion], float]:
-    """Filter and differentiate checked logs; see :func:`prepare_motions`."""
+    """Filter and differentiate checked logs; motions made from logs are not changed.
+
+    Args:
+        logs: Checked logs, see :func:`checked_logs`, or motions.
+        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
+
+    Returns:
+        Motions at full rate, and the cut-off.
+
+    Raises:
+        IdentificationError: The cut-off is too low for the shortest log.
+    """
     if cutoff is None:
         chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
         cutoff = float(np.median(chosen)) if chosen else np.inf
@@ -187,14 +181,14 @@ def linear_effects(robot: Robot) -> list[Effect]:
     return [*usual, *(type(e)(e.joints) for e in found)]
 
 
-def prepare_at_best_cutoff(
+def products_at_best_cutoff(
     logs: Sequence[Recording | Motion],
     problem: Problem,
     cutoff: float | None = None,
     *,
     robust: bool,
-) -> tuple[Data, CrossProducts]:
-    """Data at the cut-off with which a linear model predicts held-out torque best.
+) -> CrossProducts:
+    """Products at the cut-off with which a linear model predicts held-out torque best.
 
     The first cut-off comes from the spectrum of the positions. Torque may be noisy at
     lower frequencies, and dry friction is noisy where the speed is. So the cut-off is
@@ -207,15 +201,12 @@ def prepare_at_best_cutoff(
         cutoff: The cut-off, if it is not to be chosen, [Hz].
         robust: Whether outlying blocks count less.
 
-    Returns:
-        The data, and the cross-products of the problem on them.
-
     Raises:
         IdentificationError: Every sample is masked, or the cut-off is too low.
     """
     data = prepare(logs, cutoff)
-    products, highest, least = data.products(problem), data.cutoff, np.inf
-    best = data, products
+    best = products = accumulate(problem, data)
+    highest, least = data.cutoff, np.inf
     if cutoff is not None or not any(isinstance(x, Recording) for x in logs):
         return best
     shortest = min(float(m.t[-1] - m.t[0]) for m in data.motions)
@@ -224,16 +215,15 @@ def prepare_at_best_cutoff(
         if cutoff * shortest < FEWEST_PERIODS * data.fold_count:
             break
         if halvings:
-            data = prepare(logs, cutoff, highest=highest)
-            products = data.products(problem)
+            products = accumulate(problem, prepare(logs, cutoff, highest=highest))
         found = solve_weighted(products, "wls", robust=robust)
-        theta = without_folds(products, found.weight, share=found.share)
+        theta = without_folds(products, found)
         squares = summed_squares(products.held_out_squares(theta), robust)
-        error = np.sqrt(squares / data.moving)
+        error = np.sqrt(squares / products.data.moving)
         level = float(np.log(np.maximum(error, 1e-300)).mean())
         if level > least - _WORTH_HALVING:
             break
-        best, least = (data, products), level
+        best, least = products, level
     return best
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.identification.data import Data, Residual
 from hybrid.identification.gate import lowers
+from hybrid.regression.data import Data, Residual
 
 _FEWEST_SAMPLES = 200
 _LEAST_FALL = 0.01  # of the squared residuals, relative, for inputs to be of use
@@ -65,24 +65,23 @@ def fit_remainder(
     n = held_out[0].shape[1]
     residual, parts = data.decimated(held_out), []
     cross = [np.zeros_like(x) for x in held_out]
-    before = data.squares(held_out)
+    before, limits = data.squares(held_out), np.broadcast_to(bound, n)
     offered = {j: _candidates(j, n) for j in range(n)}
     if among is not None:
         offered = {p.joint: [(p.positions, p.speeds)] for p in among.parts}
-    limits = np.broadcast_to(bound, n)
     for joint, candidates in offered.items():
         inputs = _best_inputs(residual, joint, candidates)
         if inputs is None:
             continue
-        fit = partial(_part, residual, joint, inputs, float(limits[joint]), seed)
-        predicted, components = _cross_validated(data, residual, joint, inputs, fit)
-        if components is None:
+        found = _learned(data, residual, joint, inputs, float(limits[joint]), seed)
+        if found is None:
             continue
+        predicted, fit = found
         corrected = [x.copy() for x in held_out]
         for x, known in zip(corrected, predicted, strict=True):
             x[:, joint] -= known
         if lowers(before, data.squares(corrected), tried=len(candidates))[joint]:
-            parts.append(JointRemainder(joint, *inputs, fit(None, components)))
+            parts.append(JointRemainder(joint, *inputs, fit()))
             for x, known in zip(cross, predicted, strict=True):
                 x[:, joint] = known
     after = data.squares([x - y for x, y in zip(held_out, cross, strict=True)])
@@ -137,57 +136,40 @@ def _candidates(joint: int, n: int) -> list[Inputs]:
     return [(own, own), (near, own), (own, near)]
 
 
-def _cross_validated(
-    data: Data,
-    residual: Residual,
-    joint: int,
-    inputs: Inputs,
-    fit: Callable[[int, int | None], GaussianMixtureRegression],
-) -> tuple[list[Array], int | None]:
-    """Torque at each sample by a regression without its fold.
+def _learned(
+    data: Data, residual: Residual, joint: int, inputs: Inputs, bound: float, seed: int
+) -> tuple[list[Array], Callable[[], GaussianMixtureRegression]] | None:
+    """Torque of a regression without the fold of each sample, and the fit to all.
 
-    Returns:
-        The torque, shape (N,) for each motion, and the number of components, which the
-        first fold selects; None if the samples are too few.
+    The first fold selects the number of components. It is None if there are too few
+    samples.
     """
-    fold, moving = residual.fold, residual.moving[:, joint]
-    predicted, components = [np.zeros(len(m.t)) for m in data.motions], None
-    for k in np.unique(fold).tolist():
-        seen, held = (moving & (fold != k)).sum(), (moving & (fold == k)).sum()
-        if min(seen, 4 * held) < _FEWEST_SAMPLES:
-            return predicted, None
-        regression = fit(k, components)
+    moving, components = residual.moving[:, joint], None
+    x = _inputs(residual.q, residual.v, inputs)[moving]
+    y, fold = residual.tau[moving, joint, None], residual.fold[moving]
+
+    def fit(held: NDArray[np.bool_]) -> GaussianMixtureRegression:
+        return GaussianMixtureRegression.fit(
+            x[~held],
+            y[~held],
+            components=components,
+            candidates=_COMPONENTS,
+            validation=(x[held], y[held]) if components is None else None,
+            bound=min(bound, float(np.abs(y[~held]).max())),
+            max_samples=_MOST_SAMPLES if held.any() else 20_000,
+            seed=seed,
+        )
+
+    predicted = [np.zeros(len(m.t)) for m in data.motions]
+    for k in np.unique(residual.fold):
+        held = fold == k
+        if min((~held).sum(), 4 * held.sum()) < _FEWEST_SAMPLES:
+            return None
+        regression = fit(held)
         components = regression.components
-        for x, motion, own in zip(predicted, data.motions, data.folds, strict=True):
+        for known, motion, own in zip(predicted, data.motions, data.folds, strict=True):
             here = own == k
             if here.any():
                 at = _inputs(motion.q[here], motion.v[here], inputs)
-                x[here] = regression.predict(at)[:, 0]
-    return predicted, components
-
-
-def _part(
-    residual: Residual,
-    joint: int,
-    inputs: Inputs,
-    bound: float,
-    seed: int,
-    left_out: int | None,
-    components: int | None,
-) -> GaussianMixtureRegression:
-    """Fit on all folds but one, which selects the components if they are not given."""
-    x, y = _inputs(residual.q, residual.v, inputs), residual.tau[:, joint, None]
-    moving = residual.moving[:, joint]
-    scoring = moving & (residual.fold == left_out)
-    fitting = moving & ~scoring
-    choose = components is None and bool(scoring.any())
-    return GaussianMixtureRegression.fit(
-        x[fitting],
-        y[fitting],
-        components=components,
-        candidates=_COMPONENTS,
-        validation=(x[scoring], y[scoring]) if choose else None,
-        bound=min(bound, float(np.abs(y[fitting]).max())),
-        max_samples=_MOST_SAMPLES if scoring.any() else 20_000,
-        seed=seed,
-    )
+                known[here] = regression.predict(at)[:, 0]
+    return predicted, partial(fit, np.zeros(len(fold), dtype=bool))

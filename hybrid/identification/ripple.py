@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.effects import Effect, JointState
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.identification.data import Data
 from hybrid.identification.partial_regression import PartialRegression
 from hybrid.identification.solution import Solution
 from hybrid.regression.problem import part
@@ -37,18 +36,17 @@ _BLOCK_SECONDS = 1.0  # distance at which samples count as independent
 _MOST_SECONDS = 120.0  # of data to search; gains are then fitted to all data
 
 
-def find_ripples(data: Data, solution: Solution) -> dict[int, list[Effect]]:
+def find_ripples(solution: Solution) -> dict[int, list[Effect]]:
     """Ripples of each joint that lower its held-out error, strongest first."""
-    pieces = enumerate(_pieces(data, solution))
-    found = {j: _ripples(j, own, solution, data.cutoff) for j, own in pieces}
+    pieces = enumerate(_pieces(solution))
+    found = {j: _ripples(j, own, solution) for j, own in pieces}
     return {j: ripples for j, ripples in found.items() if ripples}
 
 
-def _ripples(
-    joint: int, pieces: Sequence[_Piece], solution: Solution, cutoff: float
-) -> list[Effect]:
+def _ripples(joint: int, pieces: Sequence[_Piece], solution: Solution) -> list[Effect]:
     rows = np.concatenate([p.rows for p in pieces], axis=1)
     terms = PartialRegression.of(solution, joint, rows)
+    cutoff = solution.products.data.cutoff
     fold = np.concatenate([p.fold for p in pieces])
     block = np.concatenate([1000 * r + p.block for r, p in enumerate(pieces)])
     ends = np.cumsum([len(p.fold) for p in pieces])
@@ -118,9 +116,10 @@ class _Piece:
         return replace(self.sampler, factor=1)(full)
 
 
-def _pieces(data: Data, solution: Solution) -> list[list[_Piece]]:
+def _pieces(solution: Solution) -> list[list[_Piece]]:
     """The moving samples of every motion, for each joint."""
     problem, theta = solution.problem, solution.weighted.theta
+    data = solution.products.data
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
     found: list[list[_Piece]] = [[] for _ in range(problem.chain.size)]
     for motion, fold, chunks in zip(data.motions, data.folds, data.chunks, strict=True):

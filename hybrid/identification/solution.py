@@ -9,12 +9,10 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.effects import Effect
-from hybrid.identification.data import Data
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.cross_products import CrossProducts, accumulate
 from hybrid.regression.intervals import Estimate, with_uncertainty
 from hybrid.regression.least_squares import WeightedSolution, residual_covariance
-from hybrid.regression.prior import Prior
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 
@@ -24,23 +22,17 @@ class Solution:
     """A linear problem with its solution.
 
     Attributes:
-        data: The motions.
-        products: Their cross-products.
+        products: Cross-products of the data.
         weighted: The solution on all samples, with its weights.
-        prior: Prior of the unknowns, or None.
         theta: Solutions without each fold, shape (F, p).
-        squares: Held-out squares of each block, unfiltered, shape (B, n), [N²·m²].
         strength: Number of samples that the prior is worth.
         inertial: Physically consistent links that give these values, shape (n, 10),
             or None.
     """
 
-    data: Data
     products: CrossProducts
     weighted: WeightedSolution
-    prior: Prior | None
     theta: Array
-    squares: Array
     strength: float = 0.0
     inertial: Array | None = None
 
@@ -48,6 +40,11 @@ class Solution:
     def problem(self) -> Problem:
         """The unknowns."""
         return self.products.problem
+
+    @cached_property
+    def squares(self) -> Array:
+        """Held-out squares of each block, unfiltered, shape (B, n), [N²·m²]."""
+        return self.products.held_out_squares(self.theta)
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -59,10 +56,9 @@ class Solution:
         includes the uncertainty of that choice.
         """
         whole, products = self.problem.complete(), self.products
-        complete = self.data.products(whole) if whole is not self.problem else products
-        found = with_uncertainty(
-            products, self.weighted, prior=self.prior, complete=complete
-        )
+        same = whole is self.problem
+        complete = products if same else accumulate(whole, products.data)
+        found = with_uncertainty(products, self.weighted, complete)
         folds = len(self.theta)
         scatter = (folds - 1) * self.theta.var(axis=0)
         known = (scatter > 0) & (found.std > 0)
@@ -90,6 +86,7 @@ class Solution:
     ) -> DynamicModel:
         """The terms as a model; gains have standard deviations if it is ``sure``."""
         base, effects = self.problem.fitted(self.weighted.theta)
+        data = self.products.data
         std: list[dict[str, float]] = [{} for _ in effects]
         for unknown, e, g in self.problem.gains if sure else ():
             std[e][effects[e].gains[g].name] = float(self.estimate.std[unknown])
@@ -98,9 +95,9 @@ class Solution:
             base,
             tuple(e.at({}, s) for e, s in zip(effects, std, strict=True)),
             remainder,
-            self.data.cutoff,
-            self.data.standing,
-            self.data.visited,
+            data.cutoff,
+            data.standing,
+            data.visited,
             self.inertial,
         )
 

@@ -17,10 +17,10 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.threshold_friction import ThresholdFriction
-from hybrid.identification.data import Data
 from hybrid.identification.preparation import summed_squares
 from hybrid.identification.solution import Solution, with_zero_gains
-from hybrid.regression.cross_products import CrossProducts
+from hybrid.regression.cross_products import CrossProducts, accumulate
+from hybrid.regression.data import Data
 from hybrid.regression.least_squares import (
     ESTIMATORS,
     Estimator,
@@ -54,7 +54,7 @@ class Solver:
 
         The better of the first two at each joint is the reference of :meth:`cost`.
         """
-        solution = partial(self._solution, self._data, products, bounded=False)
+        solution = partial(self._solution, products, bounded=False)
         found = {x: solution(x) for x in ESTIMATORS}
         ls, wls = (found[x].squares for x in ESTIMATORS[:2])
         self.reference = np.where(self.total(ls) < self.total(wls), ls, wls)
@@ -80,7 +80,7 @@ class Solver:
                 problem.chain, effects, inertial=problem.rigid_inertial(theta)
             )
             after = [x for e in problem.effects for x in e.gain_values]
-            products = self._data.products(problem)
+            products = accumulate(problem, products.data)
             if np.allclose(before, after, rtol=1e-3):
                 return products, True
         return products, False
@@ -109,21 +109,15 @@ class Solver:
             inertial=start.problem.rigid_inertial(start.weighted.theta),
             without=without,
         )
-        data = self._data.minus(known)
-        return self.best(data.products(problem), data, start.strength)
+        products = accumulate(problem, self._data.minus(known))
+        return self.best(products, start.strength)
 
-    def best(
-        self,
-        products: CrossProducts,
-        data: Data | None = None,
-        near: float | None = None,
-    ) -> Solution:
+    def best(self, products: CrossProducts, near: float | None = None) -> Solution:
         """The solution of least cost over estimators and strengths of the prior.
 
-        The cross-products are of ``data``, by default those of this solver. Only the
-        neighbours of a strength ``near`` are tried, if there is one.
+        Only the neighbours of a strength ``near`` are tried, if there is one.
         """
-        solution = partial(self._solution, data or self._data, products)
+        solution = partial(self._solution, products)
         file = file_prior(products.problem, self._robot, self._data.scales)
         tried: Sequence[float] = _STRENGTHS if file is not None else (0.0,)
         if near is not None:
@@ -137,7 +131,6 @@ class Solver:
 
     def _solution(
         self,
-        data: Data,
         products: CrossProducts,
         estimator: Estimator,
         file: Prior | None = None,
@@ -149,11 +142,8 @@ class Solver:
         found = solve_weighted(
             products, estimator, bounded=bounded, robust=self._robust, prior=prior
         )
-        theta = without_folds(
-            products, found.weight, bounded=bounded, prior=prior, share=found.share
-        )
-        squares = products.held_out_squares(theta)
-        return Solution(data, products, found, prior, theta, squares, strength)
+        theta = without_folds(products, found)
+        return Solution(products, found, theta, strength)
 
     def least(self, solutions: Iterable[Solution]) -> Solution:
         """The first solution of least cost."""

@@ -17,7 +17,7 @@ from hybrid.identification.preparation import (
     checked_logs,
     linear_effects,
     log_hash,
-    prepare_at_best_cutoff,
+    products_at_best_cutoff,
 )
 from hybrid.recording import Recording
 from hybrid.regression.least_squares import ESTIMATORS, Estimator
@@ -78,8 +78,10 @@ def identify(
     check_effects(effects)
     logs = checked_logs(robot, recordings)
     problem = build_problem(robot.chain, (*linear_effects(robot), *effects))
-    data, products = prepare_at_best_cutoff(logs, problem, cutoff, robust=robust)
-    terms = Identification(robot, data, estimator, tuple(effects), robust, seed)
+    products = products_at_best_cutoff(logs, problem, cutoff, robust=robust)
+    terms = Identification(
+        robot, products.data, estimator, tuple(effects), robust, seed
+    )
     held_out = terms.rigid_stage(products)
     later = {
         "friction": terms.friction_stage,

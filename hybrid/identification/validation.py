@@ -9,17 +9,16 @@ import numpy as np
 from hybrid.arguments import MODEL, RECORDING, check_argument
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError, warn
-from hybrid.identification.data import check_torque, fastest
 from hybrid.identification.preparation import (
     SLOWEST,
     STANDING,
     checked_logs,
     log_hash,
     motions_from_logs,
-    prepare_motions,
 )
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
+from hybrid.regression.data import check_torque, fastest
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 
@@ -205,7 +204,8 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
     """
     check_argument(model, DynamicModel, MODEL)
     check_argument(recording, Recording, RECORDING)
-    motions, _ = prepare_motions(model.robot, [recording], model.cutoff)
+    logs = checked_logs(model.robot, [recording])
+    motions, _ = motions_from_logs(logs, model.cutoff)
     tau = np.concatenate([model.predict(motion) for motion in motions])
     if not np.isfinite(tau).all():
         raise RecordingError(

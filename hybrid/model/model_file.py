@@ -134,28 +134,21 @@ def _packed(x: Array) -> dict[str, Any]:
     return {"shape": list(x.shape), "float64": text}
 
 
-def _unpacked(
-    name: str, content: Mapping[str, Any], valid: tuple[int, ...] | None = None
-) -> Array:
-    """Read an array, of a valid shape if one is given."""
+def _unpacked(name: str, content: Mapping[str, Any]) -> Array:
+    """Inverse of :func:`_packed`."""
     shape = tuple(map(_whole, content["shape"]))
     numbers = b64decode(content["float64"], validate=True)
-    if (
-        8 * int(np.prod(shape, dtype=object)) != len(numbers)
-        or min(shape, default=0) < 0
-    ):
+    count = int(np.prod(shape, dtype=object))
+    if 8 * count != len(numbers) or min(shape, default=0) < 0:
         raise ModelFileError(f"{name} has {len(numbers)} bytes for shape {shape}")
-    x = _finite(name, np.frombuffer(numbers, "<f8").astype(float).reshape(shape))
-    if valid not in (None, shape):
-        raise ModelFileError(f"{name} has shape {shape}; valid is {valid}")
-    return x
+    return np.frombuffer(numbers, "<f8").reshape(shape)
 
 
 def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel:
     n, learned, cutoff = robot.size, content["remainder"], content["cutoff"]
     remainder = None
     if learned is not None:
-        arrays = {name: _unpacked(name, x) for name, x in learned["arrays"].items()}
+        arrays = {name: _array(name, x) for name, x in learned["arrays"].items()}
         remainder = ArmRemainder.from_dict(n, learned["parts"], arrays)
         _check_joints(remainder)
     if cutoff is not None and not 0 < _real(cutoff) < np.inf:
@@ -179,7 +172,7 @@ def _covariance(content: Mapping[str, Any], size: int) -> Array:
     """Covariance of the base values; older files have none."""
     if "covariance" not in content:
         return np.zeros((0, 0))
-    found = _unpacked("covariance", content["covariance"], (size, size))
+    found = _array("covariance", content["covariance"], (size, size))
     if (np.diag(found) < 0).any():
         raise ModelFileError("covariance has a variance below 0")
     return found
@@ -204,7 +197,7 @@ def _base(robot: Robot, content: Any) -> BaseParameters:
         raise ModelFileError(f"base parameters have {p} labels and {len(units)} units")
     if not (len(set(kept)) == len(kept) and all(0 <= k < p for k in kept)):
         raise ModelFileError(f"kept parameters are not different ones below {p}")
-    mapping = _unpacked("mapping", content["mapping"], (len(kept), p))
+    mapping = _array("mapping", content["mapping"], (len(kept), p))
     values = _array("values", content["values"], (len(kept),))
     return BaseParameters(labels, units, kept, mapping, values)
 
@@ -254,21 +247,21 @@ def _whole(x: Any) -> int:
 
 
 def _array(
-    name: str, content: Any, shape: tuple[int, ...], *, lowest: float = -np.inf
+    name: str,
+    content: Any,
+    shape: tuple[int, ...] | None = None,
+    *,
+    lowest: float = -np.inf,
 ) -> Array:
-    """Lists of numbers as an array, with its shape and values checked."""
-    x = np.array(content)
-    if x.shape != shape or (x.dtype.kind not in "if" and x.size):
+    """Lists of numbers, or a packed array, with shape and values checked."""
+    x = _unpacked(name, content) if isinstance(content, dict) else np.array(content)
+    x = x.astype(float) if x.dtype.kind in "if" else x
+    if x.dtype == float and not np.isfinite(x).all():
+        raise ModelFileError(f"{name} holds NaN or infinity; valid are finite numbers")
+    if x.shape != (shape or x.shape) or x.dtype != float:
         raise ModelFileError(
             f"{name} has shape {x.shape}; valid are numbers of shape {shape}"
         )
-    x = _finite(name, x.astype(float))
     if (x < lowest).any():
         raise ModelFileError(f"{name} is {x.min():g}; valid is {lowest:g} or more")
-    return x
-
-
-def _finite(name: str, x: Array) -> Array:
-    if not np.isfinite(x).all():
-        raise ModelFileError(f"{name} holds NaN or infinity; valid are finite numbers")
     return x

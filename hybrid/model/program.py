@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics.law import Law
 from hybrid.dynamics.newton_euler import newton_euler
 from hybrid.dynamics.tape import Tape
@@ -131,7 +132,9 @@ def program_from_model(model: DynamicModel) -> Program:
             values = memory.run(effect.report_at_instant, effect, own, given)
             for j, x in zip(effect.joints, values, strict=True):
                 torque[j] = x
-    variance = _add_remainder(model, q, v, torque)
+    learned = model.remainder or ArmRemainder(n, ())
+    mean, variance = learned.at_instant(q, v)
+    torque = [x + y for x, y in zip(torque, mean, strict=True)]
     return Program(
         robot.joints, tape, tuple(torque), tuple(variance), tuple(memory.now),
         tuple(memory.names), tuple(left_out),
@@ -152,16 +155,6 @@ def is_instant(model: DynamicModel, effect: Effect) -> bool:
     except (HybridError, TypeError, ValueError):
         return False
     return t.line not in tape.needed(values)
-
-
-def _add_remainder(model: DynamicModel, q: Any, v: Any, torque: list[Any]) -> list[Any]:
-    """Add the learned torque; return its variance, NaN at joints without one."""
-    variance = [np.nan] * len(torque)
-    for part in model.remainder.parts if model.remainder else ():
-        seen = [*(q[j] for j in part.positions), *(v[j] for j in part.speeds)]
-        (mean,), (variance[part.joint],) = part.regression.at_instant(seen)
-        torque[part.joint] = torque[part.joint] + mean
-    return variance
 
 
 def _rigid_change(model: DynamicModel, effect: Effect) -> tuple[Array, Array] | None:

@@ -4,6 +4,7 @@ Source: Cameron and Miller 2015, doi 10.3368/jhr.50.2.317 (cluster-robust infere
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,41 +61,15 @@ class Estimate(WeightedSolution):
 
 
 def solve(
-    products: CrossProducts,
-    estimator: Estimator = "irls",
-    *,
-    bounded: bool = False,
-    robust: bool = False,
-    prior: Prior | None = None,
+    products: CrossProducts, estimator: Estimator = "irls", **options: Any
 ) -> Estimate:
-    """Least squares over all joints of an arm.
-
-    ``ls`` gives all joints the same weight. ``wls`` weights each joint by its residual
-    variance. ``irls`` weights by the full residual covariance across joints, iterated
-    to convergence.
-
-    Args:
-        products: Cross-products of the data.
-        estimator: One of the three.
-        bounded: Keep physically non-negative gains at or above zero.
-        robust: Give less weight to blocks whose misfit is far above the median
-            (contacts, glitches of the log).
-        prior: Prior of the unknowns.
-
-    Raises:
-        IdentificationError: There are fewer samples than unknowns.
-    """
-    found = solve_weighted(
-        products, estimator, bounded=bounded, robust=robust, prior=prior
-    )
-    return with_uncertainty(products, found, prior=prior)
+    """Solve by :func:`solve_weighted`, with its options, and add the uncertainty."""
+    return with_uncertainty(products, solve_weighted(products, estimator, **options))
 
 
 def with_uncertainty(
     products: CrossProducts,
     found: WeightedSolution,
-    *,
-    prior: Prior | None = None,
     complete: CrossProducts | None = None,
 ) -> Estimate:
     """Add covariance and condition to a solution.
@@ -102,12 +77,11 @@ def with_uncertainty(
     Args:
         products: Cross-products of the data.
         found: The solution.
-        prior: Prior of the unknowns that the solution used.
         complete: Cross-products with more unknowns after these, which the data have
             set to zero. The covariance then includes the uncertainty of that choice.
     """
     A, _ = products.normal(found.weight)
-    covariance, degrees = _covariance(complete or products, found, prior)
+    covariance, degrees = _covariance(complete or products, found)
     return Estimate(
         **vars(found),
         covariance=covariance,
@@ -115,7 +89,7 @@ def with_uncertainty(
         condition=condition_number(A),
         degrees=degrees,
         undetermined=_undetermined(A),
-        held=_held(A, prior),
+        held=_held(A, found.prior),
     )
 
 
@@ -158,9 +132,7 @@ def weak_directions(A: Array, weakest: float) -> Array:
     return np.asarray(vectors[:, values <= weakest**2 * values[-1]])
 
 
-def _covariance(
-    products: CrossProducts, found: WeightedSolution, prior: Prior | None
-) -> tuple[Array, int]:
+def _covariance(products: CrossProducts, found: WeightedSolution) -> tuple[Array, int]:
     """Covariance by the delete-a-block jackknife, and its degrees of freedom.
 
     It is inflated for the correlation of successive blocks. A prior adds the
@@ -169,7 +141,7 @@ def _covariance(
 
     Source: Efron and Stein 1981, doi 10.1214/aos/1176345462.
     """
-    weight, size = found.weight, len(found.theta)
+    weight, prior, size = found.weight, found.prior, len(found.theta)
     added = 0, products.problem.size - size
     theta = np.pad(found.theta, added)
     A, b = products.normal(weight)

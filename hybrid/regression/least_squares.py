@@ -33,7 +33,7 @@ OUTLYING = 3.0  # of the median misfit of a block: above it, a block counts less
 
 @dataclass(frozen=True)
 class WeightedSolution:
-    """A solution and the weights that it was found with.
+    """A solution, and the weights, bounds and prior that it was found with.
 
     Attributes:
         theta: Unknowns, shape (p,).
@@ -41,6 +41,8 @@ class WeightedSolution:
         share: Weight of each block in the last iteration, from 0 to 1, shape (B,).
         iterations: Number of reweightings.
         converged: False if the iteration limit was reached first.
+        lower: Smallest value of each unknown, shape (p,), or None for no bounds.
+        prior: Prior of the unknowns, or None.
     """
 
     theta: Array
@@ -48,6 +50,8 @@ class WeightedSolution:
     share: Array
     iterations: int
     converged: bool
+    lower: Array | None
+    prior: Prior | None
 
 
 def solve_weighted(
@@ -58,7 +62,23 @@ def solve_weighted(
     robust: bool = False,
     prior: Prior | None = None,
 ) -> WeightedSolution:
-    """Solve without a covariance; see :func:`hybrid.regression.intervals.solve`."""
+    """Least squares over all joints of an arm, without a covariance.
+
+    ``ls`` gives all joints the same weight. ``wls`` weights each joint by its residual
+    variance. ``irls`` weights by the full residual covariance across joints, iterated
+    to convergence.
+
+    Args:
+        products: Cross-products of the data.
+        estimator: One of the three.
+        bounded: Keep physically non-negative gains at or above zero.
+        robust: Give less weight to blocks whose misfit is far above the median
+            (contacts, glitches of the log).
+        prior: Prior of the unknowns.
+
+    Raises:
+        IdentificationError: There are fewer samples than unknowns.
+    """
     n, p = len(products.problem.support), products.problem.size
     if products.samples * n <= p:
         raise IdentificationError(
@@ -75,44 +95,29 @@ def solve_weighted(
     share = np.ones(len(products.counts))
     theta = solution(weight, share, None)
     if prior is not None:  # its weight against the data depends on the noise variance
-        variance = np.diag(_sigma(products, theta, share, False)).mean()
-        weight = np.eye(n) / variance
+        sigma = residual_covariance(products, theta, full=False)
+        weight = np.eye(n) / np.diag(sigma).mean()
         theta = solution(weight, share, prior)
     converged, iterations = estimator == "ls", 0
     limit = {"ls": 0, "wls": 2, "irls": _MOST_ITERATIONS}[estimator]
     while iterations < limit and not converged:
         share = _block_weights(products, theta, weight) if robust else share
-        sigma = _sigma(products, theta, share, estimator == "irls")
+        full = estimator == "irls"
+        sigma = residual_covariance(products, theta, share, full=full)
         weight = np.asarray(np.linalg.inv(sigma), dtype=np.float64)
         before, theta = theta, solution(weight, share, prior)
         change = np.abs(theta - before).max() / (np.abs(theta).max() + 1e-12)
         converged, iterations = bool(change < _TOLERANCE), iterations + 1
     converged = converged or estimator == "wls"
-    return WeightedSolution(theta, weight, share, iterations, converged)
+    return WeightedSolution(theta, weight, share, iterations, converged, lower, prior)
 
 
-def without_folds(
-    products: CrossProducts,
-    weight: Array,
-    *,
-    bounded: bool = False,
-    prior: Prior | None = None,
-    share: Array | None = None,
-) -> Array:
-    """Solutions that each leave one fold out, at given weights, shape (F, p).
-
-    Args:
-        products: Cross-products with folds.
-        weight: Weight across joints, shape (n, n).
-        bounded: Keep physically non-negative gains at or above zero.
-        prior: Prior of the unknowns.
-        share: Weight of each block, from 0 to 1, shape (B,); all 1 by default.
-    """
-    if share is not None:
-        products = products.shared(share)
-    lower = products.problem.lower if bounded else None
-    each = zip(*products.without_folds(weight), strict=True)
-    return np.array([_optimum(A, b, lower, prior) for A, b in each])
+def without_folds(products: CrossProducts, found: WeightedSolution) -> Array:
+    """Solutions that each leave one fold out, at the weights of one, shape (F, p)."""
+    each = products.shared(found.share).without_folds(found.weight)
+    return np.array(
+        [_optimum(A, b, found.lower, found.prior) for A, b in zip(*each, strict=True)]
+    )
 
 
 def _optimum(A: Array, b: Array, lower: Array | None, prior: Prior | None) -> Array:
@@ -171,13 +176,17 @@ def _bounded_solve(A: Array, b: Array, lower: Array) -> Array:
     return np.maximum(theta, lower)
 
 
-def residual_covariance(products: CrossProducts, theta: Array) -> Array:
-    """Covariance of the residuals across joints, shape (n, n), [N²·m²]."""
-    return _sigma(products, theta, np.ones(len(products.counts)), True)
+def residual_covariance(
+    products: CrossProducts,
+    theta: Array,
+    share: Array | None = None,
+    *,
+    full: bool = True,
+) -> Array:
+    """Covariance of the residuals across joints, shape (n, n), [N²·m²].
 
-
-def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> Array:
-    """Residual covariance; a floor keeps it invertible where a residual is zero.
+    A floor keeps it invertible where a residual is zero. Blocks have weights ``share``,
+    shape (B,), or 1; joints are independent if it is not ``full``.
 
     The likelihood of a full covariance has no maximum in a short log: weights grow
     until one combination of joints is fitted exactly. So its prior is inverse Wishart,
@@ -186,6 +195,7 @@ def _sigma(products: CrossProducts, theta: Array, share: Array, full: bool) -> A
 
     Source: Gelman et al. 2013, "Bayesian Data Analysis", section 3.6.
     """
+    share = np.ones(len(products.counts)) if share is None else share
     products, blocks = products.shared(share), share.sum()
     n = len(products.problem.support)
     counts = products.counts.sum(axis=0)

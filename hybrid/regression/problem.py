@@ -10,6 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,18 +169,9 @@ class Problem:
 
 def part(motion: Motion, samples: slice) -> Motion:
     """A slice of a motion in time."""
-    warm, asked = motion.temperature, motion.asked
-    return replace(
-        motion,
-        t=motion.t[samples],
-        q=motion.q[samples],
-        v=motion.v[samples],
-        a=motion.a[samples],
-        tau=motion.tau[samples],
-        mask=motion.mask[samples],
-        temperature=None if warm is None else warm[samples],
-        asked=None if asked is None else asked[samples],
-    )
+    arrays = {k: x for k, x in vars(motion).items() if isinstance(x, np.ndarray)}
+    signals: dict[str, Any] = {k: x[samples] for k, x in arrays.items()}
+    return replace(motion, **signals)
 
 
 def build_problem(

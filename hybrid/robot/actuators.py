@@ -58,21 +58,21 @@ def bristles(model: Any, index: list[int]) -> np.ndarray:
     return np.array(found).reshape(-1, 4)
 
 
-def with_drives(model: Any, name: str, drives: list[Any]) -> np.ndarray:
-    """Armature or damping of each dof, including that of actuators through gears."""
-    values = getattr(model, f"dof_{name}").copy()
-    for a, joint, gear in drives:
+def through_gears(model: Any, name: str) -> np.ndarray:
+    """Armature or damping of the actuators at each dof, shape (nv,)."""
+    values = np.zeros(model.nv)
+    for a, joint, gear in drives_of(model):
         own = getattr(model, f"actuator_{name}")[a]
         values[model.jnt_dofadr[joint]] += gear**2 * own
-    return np.asarray(values)
+    return values
 
 
-def torque_limit(model: Any, drives: list[Any]) -> np.ndarray:
+def torque_limit(model: Any) -> np.ndarray:
     """Smallest torque limit at each joint: of joint, actuator and control range."""
     limit = np.full(model.njnt, np.inf)
     for j in np.flatnonzero(model.jnt_actfrclimited):
         limit[j] = np.abs(model.jnt_actfrcrange[j]).max()
-    for a, joint, gear in drives:
+    for a, joint, gear in drives_of(model):
         plain = (
             model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
@@ -87,14 +87,14 @@ def torque_limit(model: Any, drives: list[Any]) -> np.ndarray:
     return limit
 
 
-def servo_gains(model: Any, drives: list[Any]) -> tuple[np.ndarray, np.ndarray]:
+def servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness and damping of the position servo at each joint; NaN without one.
 
     A servo's gain equals its feedback of position (``position``) or speed
     (``velocity``). The gains of both kinds at one joint, a PD controller, are added.
     """
     kp, kd = np.zeros((2, model.njnt))
-    for a, joint, gear in drives:
+    for a, joint, gear in drives_of(model):
         gain, (constant, stiffness, damping) = (
             model.actuator_gainprm[a, 0],
             model.actuator_biasprm[a, :3],

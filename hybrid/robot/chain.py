@@ -96,15 +96,3 @@ class Chain:
     def size(self) -> int:
         """Number of joints n."""
         return len(self.joints)
-
-
-def zero_frames(chain: Chain) -> tuple[Array, Array]:
-    """Orientation and origin of each link at q = 0, shapes (n, 3, 3) and (n, 3)."""
-    R, p = np.eye(3), np.zeros(3)
-    rotations, origins = [], []
-    for rotation, translation in zip(chain.rotation, chain.translation, strict=True):
-        p = p + R @ translation
-        R = R @ rotation
-        rotations.append(R)
-        origins.append(p)
-    return np.array(rotations), np.array(origins)

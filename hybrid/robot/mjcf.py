@@ -15,16 +15,15 @@ from scipy.spatial.transform import Rotation
 from hybrid.errors import RobotError, warn
 from hybrid.robot.actuators import (
     bristles,
-    drives_of,
     ripples,
     servo_gains,
+    through_gears,
     torque_limit,
-    with_drives,
 )
 from hybrid.robot.spatial import rotation_from_axis_angle
 from hybrid.robot.tree import Node, Tree, serial_joints
 
-_FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint; mujoco is imported in functions
+_FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint
 _KINDS = {_FREE: "is free", _BALL: "is a ball"}
 
 
@@ -45,28 +44,27 @@ def fields_of_mujoco(
     index = [names.index(name) for name in keep]
     low, high = model.jnt_range[index].T
     limited = model.jnt_limited[index].astype(bool)
-    drives = list(drives_of(model))
-    kp, kd = servo_gains(model, drives)
+    kp, kd = servo_gains(model)
     places, _ = tree.places(keep, held)
     bodies = [n.body for n, p in zip(tree.nodes, places, strict=True) if p.link >= 0]
     moved = [body for body in bodies if body is not None]
     _check_inertias(model, moved, missing_inertia)
     gravity = _gravity(model, index, moved)
-    armature = with_drives(model, "armature", drives)[model.jnt_dofadr[index]]
+    armature = model.dof_armature + through_gears(model, "armature")
     falling = bristles(model, index)[:, [0, 2, 3]]
     return {
         "name": model.names[: model.names.index(b"\0")].decode(),
-        "chain": tree.chain(keep, held, gravity, armature),
+        "chain": tree.chain(keep, held, gravity, armature[model.jnt_dofadr[index]]),
         "held": dict(held),
         "q_min": np.where(limited, low, -np.inf),
         "q_max": np.where(limited, high, np.inf),
         "v_max": _numeric(model, "velocity_limit", index, where),
         "a_max": _numeric(model, "acceleration_limit", index, where),
-        "tau_max": torque_limit(model, drives)[index],
+        "tau_max": torque_limit(model)[index],
         "kp": kp[index],
         "kd": kd[index],
         "timestep": float(model.opt.timestep),
-        **_passive(model, index, drives),
+        **_passive(model, index),
         "ripple": ripples(model, index),
         "falling": falling[(falling[:, 1:] > 0).all(axis=1)],
         "coupled": _coupled(model, index),
@@ -86,10 +84,10 @@ def start(model: Any, held: Mapping[str, float]) -> np.ndarray:
     return np.asarray(q)
 
 
-def _passive(model: Any, index: list[int], drives: list[Any]) -> dict[str, Any]:
+def _passive(model: Any, index: list[int]) -> dict[str, Any]:
     """Friction and springs of the joints."""
     dofs = model.jnt_dofadr[index]
-    damping = with_drives(model, "damping", drives)
+    damping = model.dof_damping + through_gears(model, "damping")
     damper, spring, dry = (
         _enabled(model, name) for name in ("DAMPER", "SPRING", "FRICTIONLOSS")
     )

@@ -31,7 +31,16 @@ def read_robot(
             model, missing = compile_spec(source.copy(), "MjSpec")
             return fields_of_mujoco(model, "MjSpec", joints, held, missing), model
         case str() | Path():
-            return _of_file(robot_file(source), joints, held)
+            path = robot_file(source)
+            try:
+                return _of_file(path, joints, held)
+            except RobotError as error:
+                if str(path) in str(error):
+                    raise
+                raise RobotError(f"{path}: {error}") from error
+            except UnicodeDecodeError as error:
+                fault = f"a name in it is not UTF-8 ({error})"
+                raise RobotError(f"{path}: {fault}") from error
     home, name = type(source).__module__.partition(".")[0], type(source).__name__
     if (home, name) == ("pinocchio", "Model"):
         return _of_pinocchio(source, joints, held), None
@@ -42,19 +51,6 @@ def read_robot(
 
 
 def _of_file(
-    path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
-) -> Read:
-    try:
-        return _opened(path, joints, held)
-    except RobotError as error:
-        if str(path) in str(error):
-            raise
-        raise RobotError(f"{path}: {error}") from error
-    except UnicodeDecodeError as error:
-        raise RobotError(f"{path}: a name in it is not UTF-8 ({error})") from error
-
-
-def _opened(
     path: Path, joints: tuple[str, ...] | None, held: Mapping[str, float]
 ) -> Read:
     suffix = path.suffix.lower()

@@ -23,11 +23,14 @@ if TYPE_CHECKING:
     import pinocchio
 
 _SPRINGS = ("quadratic", "cubic", "stiffness", "springref", "knee", "knee_speed")
-_VECTORS = (
-    "q_min", "q_max", "v_max", "a_max", "tau_max", "damping", "frictionloss", *_SPRINGS,
-)  # fmt: skip
 _SERVO = ("kp", "kd")
-_NONE = {"kp": np.nan, "kd": np.nan, "q_min": -np.inf}  # others are inf without a limit
+_NEEDED = ("q_min", "q_max", "v_max", "tau_max", "damping", "frictionloss")
+# Arrays with a value for each joint, and the value of a joint without one.
+_VECTORS = {
+    "q_min": -np.inf, "q_max": np.inf, "v_max": np.inf, "a_max": np.inf,
+    "tau_max": np.inf, "damping": 0.0, "frictionloss": 0.0,
+    **dict.fromkeys(_SPRINGS, 0.0), **dict.fromkeys(_SERVO, np.nan),
+}  # fmt: skip
 _ROWS = {"ripple": 4, "falling": 3, "coupled": 5}  # numbers in a row
 
 
@@ -100,25 +103,18 @@ class Robot:
     def __post_init__(self) -> None:
         if self.name and (fault := name_fault(self.name)):
             raise RobotError(f"arm {fault}")
-        for name in ("a_max", *_SERVO, *_SPRINGS):
-            if getattr(self, name).size == 0:
-                none = 0.0 if name in _SPRINGS else _NONE.get(name, np.inf)
-                object.__setattr__(self, name, np.full(self.chain.size, none))
-        for name in _VECTORS:
+        for name, none in _VECTORS.items():
+            if getattr(self, name).size == 0 and name not in _NEEDED:
+                object.__setattr__(self, name, np.full(self.size, none))
             x = getattr(self, name)
-            if x.shape != (self.chain.size,) or np.isnan(x).any():
-                raise RobotError(f"{name} needs one value for each of {self.joints}")
+            servo = name in _SERVO
+            if x.shape != (self.size,) or ((x < 0) if servo else np.isnan(x)).any():
+                value = "one value, 0 or above or none," if servo else "one value"
+                raise RobotError(f"{name} needs {value} for each of {self.joints}")
         if (self.q_min > self.q_max).any():
             joint = self.joints[int(np.argmax(self.q_min > self.q_max))]
             where = f"{self.path}: " if self.path else ""
             raise RobotError(f"{where}q_min of joint {joint!r} is above its q_max")
-        for name in _SERVO:
-            x = getattr(self, name)
-            if x.shape != (self.chain.size,) or (x < 0).any():
-                raise RobotError(
-                    f"{name} needs one value, 0 or above or none, for each of "
-                    f"{self.joints}"
-                )
 
     @classmethod
     def load(
@@ -276,7 +272,7 @@ class Robot:
             "chain": {
                 f.name: _plain(getattr(self.chain, f.name)) for f in fields(Chain)
             },
-            **{name: _plain(getattr(self, name)) for name in (*_VECTORS, *_SERVO)},
+            **{name: _plain(getattr(self, name)) for name in _VECTORS},
             **{name: getattr(self, name).tolist() for name in _ROWS},
             "timestep": None if np.isnan(self.timestep) else self.timestep,
             "held": dict(self.held),
@@ -296,8 +292,8 @@ class Robot:
                 raise RobotError(f"revolute is {turning}; valid are true and false")
             arrays = {key: _numbers(key, value) for key, value in chain.items()}
             own = {
-                name: _numbers(name, content[name], none=_NONE.get(name, np.inf))
-                for name in (*_VECTORS, *_SERVO)
+                name: _numbers(name, content[name], none=none or None)
+                for name, none in _VECTORS.items()
                 if name not in _SPRINGS or name in content  # older files have none
             }
             own |= {

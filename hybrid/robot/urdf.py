@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
@@ -168,8 +169,6 @@ def _follows(joint: Element) -> tuple[str, float, float] | None:
 
 def origin(element: Element) -> tuple[Array, Array]:
     """Rotation and position from an element's ``origin``, shapes (3, 3) and (3,)."""
-    from scipy.spatial.transform import Rotation
-
     xyz, rpy = (numbers(element, "origin", x, 0.0, 0.0, 0.0) for x in ("xyz", "rpy"))
     return Rotation.from_euler("xyz", rpy).as_matrix(), xyz
 

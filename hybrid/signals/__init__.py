@@ -14,12 +14,11 @@ from hybrid.signals.filters import (
     filter_reach,
 )
 from hybrid.signals.motion import Motion, motion_from_recording
-from hybrid.signals.speed import SpeedCheck, speed_against_position
+from hybrid.signals.speed import speed_against_position
 
 __all__ = [
     "Motion",
     "Sampler",
-    "SpeedCheck",
     "butterworth",
     "butterworth_gain",
     "central_difference",

@@ -10,8 +10,8 @@ from typing import Self
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.gap import Gap, simulated_torque
-from hybrid.dynamics import RigidBody
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.errors import ExcitationError, HybridError, HybridWarning, RobotError
 from hybrid.excitation.clearance import Clearance
 from hybrid.excitation.constraints import Limits

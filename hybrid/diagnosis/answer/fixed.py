@@ -14,8 +14,8 @@ from hybrid.dynamics import stacked_base
 from hybrid.effects import Effect
 from hybrid.exports.simulator.simulator import build_simulator
 from hybrid.identification import DynamicModel
-from hybrid.identification.data import visited
 from hybrid.model.declared import declared_effects
+from hybrid.regression.data import visited
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
 

@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.gap import Gap, simulated_torque
-from hybrid.dynamics import RigidBody
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import effect_classes
 from hybrid.identification.preparation import motions_from_logs
 from hybrid.model import DynamicModel

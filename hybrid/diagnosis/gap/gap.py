@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.dynamics import RigidBody
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import Effect, Scale
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
@@ -227,15 +227,6 @@ class Gap:
     def __iter__(self) -> Iterator[tuple[Motion, RigidBody, Sampler]]:
         """Each motion with its rigid body and its sampler."""
         return zip(self.motions, self.bodies, self.samplers, strict=True)
-
-
-def simulated_torque(robot: Robot, motion: Motion, body: RigidBody) -> Array:
-    """Drive torque that the simulator needs along a motion, shape (N, n), [N·m]."""
-    return (
-        body.load
-        + robot.joint_torque(motion.q, motion.v, motion.a)
-        + robot.dry_friction(motion.v)
-    )
 
 
 def units(robot: Robot, joints: Sequence[int]) -> tuple[str, str]:

@@ -10,8 +10,8 @@ from scipy.ndimage import maximum_filter1d
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.faults import Faults, find_faults
-from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap, simulated_torque
-from hybrid.dynamics import RigidBody
+from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.errors import RecordingError
 from hybrid.identification.preparation import (
     SLOWEST,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.dynamics import RigidBody
+from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.errors import HybridWarning
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.plant.inverse import file_inverse_dynamics
@@ -53,6 +53,4 @@ def file_torque(file: str | Path | Robot, model: DynamicModel, motion: Motion) -
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HybridWarning)
             robot = Robot.load(robot, joints=joints, held=held)
-    torque = robot.joint_torque(motion.q, motion.v, motion.a)
-    torque += robot.dry_friction(motion.v)
-    return torque + RigidBody(robot.chain, motion).load
+    return simulated_torque(robot, motion, RigidBody(robot.chain, motion))

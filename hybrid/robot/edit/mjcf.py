@@ -1,7 +1,6 @@
 """Edit numbers in an arm's MJCF file; all other bytes stay unchanged."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -9,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hybrid.errors import RobotError
-from hybrid.robot.actuators import drives_of
+from hybrid.robot.actuators import through_gears
 from hybrid.robot.build import simulable, spec_text
 from hybrid.robot.edit.bodies import changed_bodies
 from hybrid.robot.edit.change import Edit, Structure
@@ -20,7 +19,6 @@ from hybrid.robot.edit.document import (
     joint_tag,
     model_of,
     relative_path,
-    spec_of,
 )
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.extra_friction import (
@@ -32,7 +30,6 @@ from hybrid.robot.edit.extra_friction import (
     set_tendon,
 )
 from hybrid.robot.mjcf import joint_names, mujoco_tree
-from hybrid.robot.read import read_robot
 from hybrid.robot.robot import Robot
 from hybrid.robot.tree import Body
 
@@ -69,16 +66,6 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     set_passive_motors(document, model, old, new)
     set_knee_friction(document, model.opt.timestep, old, new)
     return notes
-
-
-def check_mjcf(document: Document, robot: Robot) -> Robot:
-    """Read the arm back from the document."""
-    spec = spec_of(document, robot)
-    try:
-        fields, _ = read_robot(spec, robot.joints, robot.held)
-    except RobotError as error:
-        raise RobotError(str(error).replace("MjSpec", robot.path, 1)) from error
-    return replace(Robot(**fields), name=robot.name, path=robot.path)
 
 
 def move_assets(document: Document, home: Path, folder: Path) -> None:
@@ -153,14 +140,8 @@ def _joint(
 ) -> None:
     """Change rotor, friction and spring of a joint, also if its motors are replaced."""
     name, step, given = new.joints[j], model.opt.timestep, dict[str, Any]()
-    number = joint_names(model).index(name)
-    of_drives = {
-        field: sum(
-            gear**2 * getattr(model, f"actuator_{field}")[a]
-            for a, joint, gear in drives_of(model) if joint == number
-        )
-        for field in ("armature", "damping")
-    }  # fmt: skip
+    dof = model.jnt_dofadr[joint_names(model).index(name)]
+    of_drives = {x: through_gears(model, x)[dof] for x in ("armature", "damping")}
 
     def changed(*fields: str) -> bool:
         return any(getattr(new, x)[j] != getattr(old, x)[j] for x in fields)

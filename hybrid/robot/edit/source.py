@@ -3,18 +3,14 @@
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-
-import mujoco
 
 from hybrid.errors import HybridWarning, RobotError
 from hybrid.robot.build import add_motors, mjcf_skeleton, spec_text
-from hybrid.robot.edit.document import Document
-from hybrid.robot.edit.mjcf import check_mjcf
-from hybrid.robot.edit.urdf import check_urdf
+from hybrid.robot.edit.document import Document, spec_of
 from hybrid.robot.edit.urdf_from_mjcf import urdf_from_mjcf
-from hybrid.robot.read import expanded
+from hybrid.robot.read import expanded, read_robot
 from hybrid.robot.robot import Robot
+from hybrid.robot.urdf import read_urdf
 
 
 @dataclass(frozen=True)
@@ -71,15 +67,22 @@ def read(document: Document, robot: Robot, kind: str) -> Robot:
     """Read the arm from a document without warnings, which its file caused before."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
-        return (check_urdf if kind == "urdf" else check_mjcf)(document, robot)
+        if kind == "urdf":
+            content, where = document.edited(), document.where
+            fields = read_urdf(content, where, robot.joints, dict(robot.held))
+            return Robot(**fields, path=robot.path)
+        spec = spec_of(document, robot)
+        try:
+            fields, _ = read_robot(spec, robot.joints, robot.held)
+        except RobotError as error:
+            raise RobotError(str(error).replace("MjSpec", robot.path, 1)) from error
+        return replace(Robot(**fields), name=robot.name, path=robot.path)
 
 
 def _converted(robot: Robot) -> str:
     """Convert a URDF file to MJCF; empty if MuJoCo does not read the same arm."""
-    path = Path(robot.path)
     try:
-        spec: Any = mujoco.MjSpec.from_string(_own_document(path).content.decode())
-        spec.modelfiledir = str(path.parent)
+        spec = spec_of(_own_document(Path(robot.path)), robot)
         spec.compiler.discardvisual = False
         spec.compiler.fusestatic = False
         add_motors(spec, robot)

@@ -10,7 +10,7 @@ from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, Tag, element, relative_path, text_of
 from hybrid.robot.robot import Robot
 from hybrid.robot.tree import Body
-from hybrid.robot.urdf import read_urdf, urdf_root, urdf_tree
+from hybrid.robot.urdf import urdf_root, urdf_tree
 
 DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 
@@ -40,13 +40,6 @@ def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
     if np.abs(new.chain.gravity - old.chain.gravity).max() > 1e-6:
         return (f"gravity {text_of(new.chain.gravity)} m/s²",)
     return ()
-
-
-def check_urdf(document: Document, robot: Robot) -> Robot:
-    """Read the arm back from the document."""
-    content, where = document.edited(), document.where
-    fields = read_urdf(content, where, robot.joints, dict(robot.held))
-    return Robot(**fields, path=robot.path)
 
 
 def move_meshes(document: Document, home: Path, folder: Path) -> None:

@@ -13,7 +13,6 @@ from hybrid.arrays import Array
 from hybrid.effects import Scale
 from hybrid.errors import RecordingError
 from hybrid.regression.chunk import Chunk, chunks_along
-from hybrid.regression.cross_products import CrossProducts, accumulate
 from hybrid.regression.problem import Problem
 from hybrid.signals import Motion, Sampler
 
@@ -49,18 +48,6 @@ class Data:
             return self
         pairs = zip(self.motions, known, strict=True)
         return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
-
-    def products(self, problem: Problem) -> CrossProducts:
-        """Cross-products of a problem on these motions; see :func:`accumulate`."""
-        return accumulate(
-            problem,
-            self.motions,
-            cutoff=self.cutoff,
-            standing=self.standing,
-            folds=self.folds,
-            blocks=self.blocks,
-            chunks=self.chunks,
-        )
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
         """Residual of each sample by the solution without its fold.
@@ -109,6 +96,12 @@ class Data:
             found.append(last + label)
             last += 1 + int(label.max())
         return found
+
+    @cached_property
+    def block_folds(self) -> NDArray[np.intp]:
+        """Fold of each block, shape (B,)."""
+        _, first = np.unique(np.concatenate(self.blocks), return_index=True)
+        return np.concatenate(self.folds)[first]
 
     @cached_property
     def chunks(self) -> list[list[Chunk]]:
