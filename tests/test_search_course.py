@@ -29,7 +29,7 @@ from hybrid.signals.filters import butterworth
 
 
 def cause(name, joint=0, *, known=True, repeats=""):
-    effect = SimpleNamespace(repeats=repeats)
+    effect = SimpleNamespace(repeats=repeats, reaches=lambda n: (joint,))
     made = SimpleNamespace(place=(name, (joint,)), effect=effect) if known else None
     return Cause((name, (joint,)), np.array([ord(name[0])]), 10.0, made)
 
@@ -330,14 +330,16 @@ def test_an_unseen_loss_is_scaled_to_the_training_samples():
 
 
 def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
-    at = Losses()
+    at = Losses(noise=np.array([2.0]), count=np.array([20]))
     losses = {"a": (5.0, 5.0), "": (9.0, 8.0), "x": (7.0, 5.5), "ab": (2.0, 1.0)}
     losses |= {"b": (4.0, 4.5), "bx": (9.0, 9.0)}
     at.unseen_loss = lambda causes: np.array(losses[named(causes)])
     at._simpler = lambda c, rest: [cause("x")] if c is A else []
+    left = np.array([[5.0, 5.0]])
     at.test = SimpleNamespace(
-        tests=lambda c, causes: True, second_squares=lambda causes: None
-    )
+        tests=lambda c, causes: True, second_squares=lambda causes: left,
+        evidence=SimpleNamespace(power=np.array([60.0]), count=np.array([10])),
+    )  # fmt: skip
     at._fall_by_chance = lambda rest, after: 0.0
     assert at.unseen_gain([A]) == {A: 0.5} and at.unseen_gain([]) == {}
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
@@ -350,6 +352,11 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     at.explains_its_time = lambda c, causes: c is push
     at.test.tests = lambda c, causes: True
     assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
+    # As the simulator stands it leaves 24 / 2 and then 16 / 2, and the causes 10.
+    for power, gain in ((24.0, 2.0), (16.0, -2.0)):
+        at.test.evidence.power = np.array([power])
+        assert at.unseen_gain([A, B]) == {A: min(gain, 2.0), B: min(gain, 3.0)}
+    at.test.evidence.power = np.array([60.0])
     chance = {"b": 1.0, "bx": 0.0, "a": 4.5}
     at._fall_by_chance = lambda rest, after: chance[named(rest)]
     assert at.unseen_gain([A, B]) == {A: 2.0, B: -0.5}

@@ -251,13 +251,15 @@ class Posterior:
         The smallest fall of both losses counts, and of the second one with the noise of
         each second as the explanation leaves it: what is left of an unknown event may
         be lowered by chance. All other causes are refitted without it, and the simpler
-        law that it becomes may take its place. Of an event that is not on the test
-        samples they say nothing: infinite.
+        law that it becomes may take its place. Nor may more be left at its joints than
+        by the simulator as it stands. Of an event that is not on the test samples they
+        say nothing: infinite.
         """
         if not causes:
             return {}
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
         after = self.test.second_squares(causes)
+        fall = self.test.evidence.power / self.evidence.noise - after.sum(axis=1)
         for c in causes:
             event = self.explains_its_time(c, causes)
             if event and not self.test.tests(c, causes):
@@ -269,7 +271,12 @@ class Posterior:
                 (*(self.unseen_loss(x) - whole), self._fall_by_chance(x, after))
                 for x in others
             ]
-            gains[c] = float(min(min(one, two, two - less) for one, two, less in falls))
+            joints = (
+                c.candidate.effect.reaches(len(fall)) if c.candidate else c.place[1]
+            )
+            here = fall[[*joints]].sum() * self._to_training / 2
+            least = min(min(one, two, two - less) for one, two, less in falls)
+            gains[c] = float(min(least, here))
         return gains
 
     def _fall_by_chance(self, rest: Sequence[Cause], after: Array) -> float:
