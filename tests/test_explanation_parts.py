@@ -215,12 +215,30 @@ def test_a_cause_that_lowers_the_score_is_removed():
 
 def test_an_unknown_law_gives_way_to_effects_at_its_joint_together():
     scores = {"": 0.0, "speed": 50.0, "a": 30.0, "b": 30.0, "ab": 60.0}
-    at = Steps(scores, found=[proposal(A, 30.0), proposal(B, 30.0), proposal(C, 0.5)])
+    at = Steps(scores, found=[sized(A, 1, 30.0), sized(B, 1, 30.0), sized(C, 1, 0.5)])
     at.causes = [LAW]
     assert at._exchange(LAW) and at.causes == [A, B]
     assert at.asked[1] == (0,) and at.library_only is False
     at.causes, at.scores["ab"] = [LAW], 50.4
     assert not at._exchange(LAW) and at.causes == [LAW]
+
+
+@pytest.mark.parametrize(("loss", "taken"), [(5.4, True), (5.6, False)])
+def test_a_cause_of_several_joints_gives_way_to_simpler_effects_together(loss, taken):
+    """They may be half a nat worse on other folds, as they are simpler."""
+    link = replace(cause("link"), place=("link", (0, 1)), index=np.arange(9))
+    whole = sized(link, 9).cause
+    scores = {"": 0.0, "link": 50.0, "a": 30.0, "c": 30.0, "ac": 60.0}
+    losses = {"link": (5.0, 5.0), "ac": (loss, 5.0)}
+    other = sized(cause("other"), 9, 40.0)  # as many parameters: it is not simpler
+    at = Steps(scores, losses, found=[other, sized(A, 1, 30.0), sized(C, 1, 30.0)])
+    at.scores["other"] = 40.0
+    at.causes = [whole]
+    assert at._exchange(whole) == taken
+    assert at.causes == ([A, C] if taken else [whole])
+    alone = replace(whole, place=("link", (0,)))
+    at.causes = [alone]
+    assert not at._exchange(alone) and at.causes == [alone]
 
 
 # --- the search -----------------------------------------------------------------------

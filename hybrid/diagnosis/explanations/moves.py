@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.proposals import Proposals
+from hybrid.diagnosis.explanations.proposals import Proposal, Proposals
 from hybrid.progress import Progress
 
 LEAST_GAIN = 0.5  # nat, least improvement of the score by a step
@@ -42,13 +42,15 @@ class Moves(Proposals):
     def _is_cross_validated(self, causes: Sequence[Cause]) -> bool:
         """Whether some causes have a smaller held-out loss than the present ones.
 
-        An event that explains its time is not foretold by other folds.
+        An equal one does if they are simpler. An event that explains its time is not
+        foretold by other folds.
         """
         new = [c for c in causes if c not in self.causes]
         if new and all(self.explains_its_time(c, causes) for c in new):
             return True
         now, then = map(self.held_out_loss, (self.causes, causes))
-        return bool(np.all(then < now))
+        simpler = len(self.columns(causes)) < len(self.columns(self.causes))
+        return bool(np.all(then < now + simpler * LEAST_GAIN))
 
     def _add(self) -> bool:
         """Add the best proposal; return whether the score has risen."""
@@ -105,15 +107,17 @@ class Moves(Proposals):
         if alone > now:
             self.causes = rest
             return True
-        return cause.candidate is None and self._exchange_law(cause, rest)
+        may_be_several = cause.candidate is None or len(cause.place[1]) > 1
+        return may_be_several and self._exchange_for_several(cause, rest)
 
-    def _exchange_law(self, law: Cause, rest: list[Cause]) -> bool:
-        """Exchange an unknown law for several effects of the library at its joint."""
+    def _exchange_for_several(self, cause: Cause, rest: list[Cause]) -> bool:
+        """Exchange a cause for several simpler effects of the library at its joints."""
         causes, before = list(rest), self.library_only
-        self.library_only = True
-        while best := self.proposals(causes, at=law.place[1])[:1]:
-            if best[0].worth <= LEAST_GAIN:
+        most, self.library_only = Proposal(cause, 0.0).parameters, True
+        while found := self.proposals(causes, at=cause.place[1]):
+            simpler = [x for x in found if x.parameters < most and x.worth > LEAST_GAIN]
+            if not simpler:
                 break
-            causes.append(best[0].cause)
+            causes.append(simpler[0].cause)
         self.library_only = before
         return self._take(causes)
