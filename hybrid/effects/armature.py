@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 if TYPE_CHECKING:
     import mujoco
@@ -28,7 +27,7 @@ class Armature(JointEffect):
     remedy = "Set the joint's armature to rotor inertia times the gear ratio squared."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per kg·m² of reflected rotor inertia."""
         return (state.a,)
 

@@ -1,10 +1,8 @@
 """Dry friction of constant size."""
 
 from collections.abc import Sequence
-from typing import Any
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class Coulomb(JointEffect):
@@ -22,6 +20,6 @@ class Coulomb(JointEffect):
     remedy = "Set the joint's frictionloss to the fitted level."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per N·m of level."""
         return (state.sign,)

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,13 +24,16 @@ class JointEffect(Effect):
 
     @staticmethod
     @abstractmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per unit of each gain, with the shape of the arrays of ``state``."""
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, 1, p)."""
-        state = _StateAlong(motion, body, self.joints[0])
-        unit = np.ones_like(state.v)
+        (j,) = self.joints
+        q, v, a = motion.q[:, j], motion.v[:, j], motion.a[:, j]
+        warm = None if motion.temperature is None else motion.temperature[:, j]
+        state = JointState(motion.t, q, v, a, np.sign(v), body.load[:, j], warm)
+        unit = np.ones_like(v)
         laws = [unit * x for x in self.law(state, **self.shape_values)]
         return np.stack(laws, axis=-1)[:, None, :]
 
@@ -43,25 +46,3 @@ class JointEffect(Effect):
         return [
             sum(self.values[g.name] * x for g, x in terms if self.values[g.name])
         ], ()
-
-
-class _StateAlong(JointState):
-    """A joint's state along a motion; the load is computed on demand."""
-
-    def __init__(self, motion: Motion, body: Body, joint: int) -> None:
-        v, warm = motion.v[:, joint], motion.temperature
-        self.__dict__.update(
-            t=motion.t,
-            q=motion.q[:, joint],
-            v=v,
-            a=motion.a[:, joint],
-            sign=np.sign(v),
-            temperature=None if warm is None else warm[:, joint],
-            _loaded=(body, joint),
-        )
-
-    @property
-    def load(self) -> Array:  # type: ignore[override]
-        """Torque transmitted to the link, shape (N,), [N·m]."""
-        body, joint = self.__dict__["_loaded"]
-        return np.asarray(body.load[:, joint])

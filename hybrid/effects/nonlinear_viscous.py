@@ -1,10 +1,8 @@
 """Nonlinear viscous friction."""
 
 from collections.abc import Sequence
-from typing import Any
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class NonlinearViscous(JointEffect):
@@ -23,6 +21,6 @@ class NonlinearViscous(JointEffect):
     remedy = "Give the joint a speed-dependent friction table instead of one damping."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per unit of the quadratic and of the cubic coefficient."""
         return state.v * abs(state.v), state.v**3

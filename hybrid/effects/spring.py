@@ -1,10 +1,8 @@
 """A linear spring at a joint: hose, cable or counterbalance."""
 
 from collections.abc import Sequence
-from typing import Any
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class Spring(JointEffect):
@@ -23,6 +21,6 @@ class Spring(JointEffect):
     remedy = "Add a joint spring, or the counterbalance's geometry, to the simulator."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per unit of stiffness and of preload."""
         return state.q, 1.0 + 0.0 * state.q

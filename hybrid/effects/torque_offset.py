@@ -1,10 +1,8 @@
 """Constant offset of the reported torque."""
 
 from collections.abc import Sequence
-from typing import Any
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class TorqueOffset(JointEffect):
@@ -25,6 +23,6 @@ class TorqueOffset(JointEffect):
     remedy = "Zero the current sensor with the drive off."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per N·m of level."""
         return (1.0 + 0.0 * state.q,)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 if TYPE_CHECKING:
     import mujoco
@@ -26,7 +25,7 @@ class Viscous(JointEffect):
     remedy = "Set the joint's damping to the fitted coefficient."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per N·m·s/rad of coefficient."""
         return (state.v,)
 
