@@ -36,6 +36,7 @@ from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.exports.simulator.friction import approximate_friction, curve
+from hybrid.exports.simulator.plan import plan
 from hybrid.model.declared import declared_effects
 from hybrid.plant import Plant, install, simulate
 from hybrid.plant.inverse import file_inverse_dynamics
@@ -199,7 +200,7 @@ def test_a_curve_of_friction_is_fitted_and_what_is_left_is_said():
     ]
     moved = motions(robot, count=2, seed=3)
     made = build_simulator(robot, curve, motions=moved)
-    (fitted,), (note,) = made.friction, made.notes
+    (fitted,), (note,) = plan(robot, curve, "mjcf", moved).friction, made.notes
     assert note.startswith("friction of elbow (stribeck")
     assert f"miss {fitted.missed:.3g} of" in note
     wanted = [*declared_effects(robot), *curve]
