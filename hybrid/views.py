@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from markupsafe import escape
 
 from hybrid import report
 from hybrid.calibration import Calibration
@@ -22,7 +21,7 @@ from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
 from hybrid.report.fit import held_out_table
 from hybrid.report.inspection import joints_table, write_inspection
-from hybrid.report.output import Section, provenance
+from hybrid.report.output import Section, provenance, render_template
 from hybrid.report.servo import gap_table
 from hybrid.report.style import BEST, BLUE, GREY, PALE, clean, new_figure, stage_inks
 from hybrid.report.table import Table
@@ -43,13 +42,7 @@ def text(result: Any) -> str:
 def html(result: Any) -> str:
     """The table of a result as HTML; names in it are escaped."""
     shown = _VIEWS[type(result)].table(result)
-    head = "".join(f"<th>{escape(x)}</th>" for x in shown.header)
-    lines = ("".join(f"<td>{escape(x)}</td>" for x in row) for row in shown.rows)
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return (
-        f"<table><caption>{escape(shown.caption)}</caption>"
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    )
+    return render_template("table.html", provenance=None, table=shown)
 
 
 def plot(result: Any, ax: Axes | None = None) -> Axes:

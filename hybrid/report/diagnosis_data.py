@@ -15,7 +15,6 @@ from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import units
-from hybrid.effects import Effect
 from hybrid.report.style import extremes
 
 MOST_POINTS = 1500  # of a curve or a scatter plot
@@ -202,7 +201,8 @@ def evidence_matrix(result: Result) -> Matrix:
     scopes = {t.place: t.candidate.effect for t in (*search.pool.tried, *search.terms)}
     cells: dict[str, dict[int, Cell]] = {}
     for place, effect in scopes.items():
-        column, width = _columns(effect, len(joints))
+        whole = effect.scope == "arm"
+        column, width = (0, len(joints)) if whole else (effect.at_joints[0], 1)
         cell = Cell(
             width,
             " + ".join(joints[column : column + width]),
@@ -233,13 +233,6 @@ def _delay_cell(result: Result, j: int) -> Cell:
         for left in (scored.before[j], scored.after[j])
     )
     return Cell(1, result.gap.robot.joints[j], alone, beside, named=True)
-
-
-def _columns(effect: Effect, size: int) -> tuple[int, int]:
-    """First joint and number of joints of an effect's cell."""
-    if effect.scope == "arm":
-        return 0, size
-    return (effect.joints[-1] if effect.id == "link_inertia" else effect.joints[0]), 1
 
 
 def _rank(cell: Cell) -> tuple[bool, float]:
