@@ -1,14 +1,14 @@
 """Laws that depend on the state of one joint only."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects.effect import Effect
-from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects.instant import FIELDS, Memory, Scalar
 from hybrid.effects.state import Body, JointState
 from hybrid.signals import Motion
 
@@ -46,3 +46,12 @@ class JointEffect(Effect):
         return [
             sum(self.values[g.name] * x for g, x in terms if self.values[g.name])
         ], ()
+
+
+def law_of_fields(fields: Mapping[str, str]) -> Any:
+    """The law of an effect whose gains are fields of a simulator's joint."""
+
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
+        return [FIELDS[field](state) for field in fields.values()]
+
+    return staticmethod(law)
