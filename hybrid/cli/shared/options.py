@@ -208,12 +208,7 @@ def load_effects(text: str, robot: Robot) -> list[Effect]:
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
-    """Refuse outputs that cannot be written, before any work is done.
-
-    Raises:
-        HybridError: An output is a folder or a device, lies where nothing can be
-            written, is named twice, or is an input.
-    """
+    """Refuse outputs that cannot be written, before any work is done."""
     taken = {path.resolve(): "an input" for path in inputs}
     for path in outputs:
         if path is None:
@@ -239,7 +234,8 @@ def begin(args: Namespace, *outputs: Path | None) -> None:
     The inputs are the files that functions of this module loaded.
 
     Raises:
-        HybridError: An output cannot be written, see above.
+        HybridError: An output is a folder or a device, lies where nothing can be
+            written, is named twice, or is an input.
     """
     _check_outputs([*outputs, args.json], args.inputs)
     given = vars(args)
