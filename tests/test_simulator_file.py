@@ -601,7 +601,7 @@ def test_friction_that_rises_to_a_level_is_written_and_read_back(dry, tmp_path):
     again = Robot.load(tmp_path / "arm.xml")
     assert again.knee[1] == pytest.approx(2.0, rel=0.05)
     assert again.frictionloss[1] == pytest.approx(0.95 * dry, abs=0.1)
-    (friction,) = made.friction
+    (friction,) = plan(bare, own, "mjcf", moved).friction
     assert friction.missed < 0.02 * friction.torque
     ours = torque(again, moved[0])[:, 1]
     theirs = file_inverse_dynamics(tmp_path / "arm.xml", robot.joints, moved[0], {})[
