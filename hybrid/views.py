@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -96,10 +97,9 @@ def _draw_fit(fit: Fit, ax: Axes) -> None:
 
 
 def _design_table(design: Design) -> Table:
-    wanted = zip(
-        design.observation.base.kept_labels, design.standard_errors(), strict=True
+    lines = tuple(
+        (x["unknown"], f"{x['standard_error']:.3g}") for x in _design_rows(design)
     )
-    lines = tuple((name, f"{error:.3g}") for name, error in wanted)
     caption = (
         f"{len(design.trajectories)} motions of {design.robot.name}, "
         f"condition {design.condition:.3g}"
@@ -142,8 +142,7 @@ def _inspection_table(inspection: Inspection) -> Table:
     found = joints_table([inspection])
     count = len(inspection.doubts)
     doubts = f"{count} doubt{'s' * (count != 1)}" if count else "nothing against it"
-    caption = f"{inspection.recording.source}: {doubts}"
-    return Table(found.header, found.rows, caption)
+    return replace(found, caption=f"{inspection.recording.source}: {doubts}")
 
 
 def _draw_inspection(inspection: Inspection, ax: Axes) -> None:
@@ -154,8 +153,7 @@ def _draw_inspection(inspection: Inspection, ax: Axes) -> None:
 
 
 def _servos_table(servos: ServoFit) -> Table:
-    found = gap_table(servos)
-    return Table(found.header, found.rows, servos.sentence)
+    return replace(gap_table(servos), caption=servos.sentence)
 
 
 def _servos_rows(servos: ServoFit) -> list[dict[str, Any]]:

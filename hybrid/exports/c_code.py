@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+from hybrid import __version__
 from hybrid.dynamics import Law
 from hybrid.errors import HybridError
 from hybrid.exports.manifest import UNITS_OF_KIND
@@ -169,7 +170,7 @@ _FORGET = """\
 LIMITS = ("q_min", "q_max", "v_max", "tau_max")
 
 
-def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> str:
+def c_header(program: Program, robot: Robot, digest: str) -> str:
     """Write the header."""
     p, n, size = c_identifier(robot.name), robot.size, len(program.memory)
     marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": n, "size": size}
@@ -180,7 +181,7 @@ def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> st
         robot=c_comment(robot.name),
         joints="\n".join(_joint(robot, k) for k in range(n)),
         digest=digest,
-        version=version,
+        version=__version__,
         fingerprint=robot.fingerprint(),
         limits="\n".join(_limits(robot, name, marks) for name in LIMITS),
         memory=memory if size else "",

@@ -23,11 +23,6 @@ UNITS_OF_KIND = {  # of a revolute joint (True), and of a prismatic one
 _TRIES = 100  # to read a folder that other processes replace meanwhile
 
 
-def model_digest(model: DynamicModel) -> str:
-    """SHA-256 of a model, as its saved file has it."""
-    return str(content_from_model(model)["sha256"])
-
-
 def build_manifest(
     model: DynamicModel,
     *,
@@ -45,7 +40,7 @@ def build_manifest(
         "schema": SCHEMA,
         "version": __version__,
         "format": format,
-        "model_sha256": model_digest(model),
+        "model_sha256": content_from_model(model)["sha256"],
         "robot": robot.name,
         "fingerprint": robot.fingerprint(),
         "joints": robot.joints,

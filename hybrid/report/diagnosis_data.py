@@ -139,28 +139,6 @@ def _short(x: Array) -> list[float | None]:
     return [float(f"{value:.{_DIGITS}g}") for value in x]
 
 
-def rms_table(result: Result) -> list[dict[str, float]]:
-    """RMS gap of each joint ``today`` and ``after``, on held-out samples, [N·m].
-
-    With the ``noise`` and the RMS of measured ``torque``; 0 where the joint does not
-    move.
-    """
-    gap, scored = result.gap, result.scored
-    return [
-        {
-            "today": _rms(gap.left[rows, i]),
-            "after": _rms(scored.after[i]),
-            "noise": result.diagnosis.noise_floor[i],
-            "torque": _rms(gap.measured[rows, i]),
-        }
-        for i, rows in enumerate(scored.evidence.rows)
-    ]
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2))) if len(x) else 0.0
-
-
 @dataclass(frozen=True)
 class Cell:
     """Evidence of one effect at one joint, or at all, as decimal logarithm of odds.
