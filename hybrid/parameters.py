@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from hybrid.errors import HybridError
+from hybrid.shown import plain
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,4 @@ class Parameter:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready fields; non-finite numbers become ``None``."""
-        return {
-            key: None if isinstance(x, float) and not math.isfinite(x) else x
-            for key, x in asdict(self).items()
-        }
+        return dict(plain(asdict(self)))

@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from markupsafe import escape
 
 from hybrid import report
 from hybrid.calibration import Calibration
@@ -22,7 +22,7 @@ from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
 from hybrid.report.fit import held_out_table
 from hybrid.report.inspection import joints_table, write_inspection
-from hybrid.report.output import Section, provenance
+from hybrid.report.output import Section, provenance, render_template
 from hybrid.report.servo import gap_table
 from hybrid.report.style import BEST, BLUE, GREY, PALE, clean, new_figure, stage_inks
 from hybrid.report.table import Table
@@ -43,13 +43,7 @@ def text(result: Any) -> str:
 def html(result: Any) -> str:
     """The table of a result as HTML; names in it are escaped."""
     shown = _VIEWS[type(result)].table(result)
-    head = "".join(f"<th>{escape(x)}</th>" for x in shown.header)
-    lines = ("".join(f"<td>{escape(x)}</td>" for x in row) for row in shown.rows)
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return (
-        f"<table><caption>{escape(shown.caption)}</caption>"
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-    )
+    return render_template("table.html", provenance=None, table=shown)
 
 
 def plot(result: Any, ax: Axes | None = None) -> Axes:
@@ -103,10 +97,9 @@ def _draw_fit(fit: Fit, ax: Axes) -> None:
 
 
 def _design_table(design: Design) -> Table:
-    wanted = zip(
-        design.observation.base.kept_labels, design.standard_errors(), strict=True
+    lines = tuple(
+        (x["unknown"], f"{x['standard_error']:.3g}") for x in _design_rows(design)
     )
-    lines = tuple((name, f"{error:.3g}") for name, error in wanted)
     caption = (
         f"{len(design.trajectories)} motions of {design.robot.name}, "
         f"condition {design.condition:.3g}"
@@ -149,8 +142,7 @@ def _inspection_table(inspection: Inspection) -> Table:
     found = joints_table([inspection])
     count = len(inspection.doubts)
     doubts = f"{count} doubt{'s' * (count != 1)}" if count else "nothing against it"
-    caption = f"{inspection.recording.source}: {doubts}"
-    return Table(found.header, found.rows, caption)
+    return replace(found, caption=f"{inspection.recording.source}: {doubts}")
 
 
 def _draw_inspection(inspection: Inspection, ax: Axes) -> None:
@@ -161,8 +153,7 @@ def _draw_inspection(inspection: Inspection, ax: Axes) -> None:
 
 
 def _servos_table(servos: ServoFit) -> Table:
-    found = gap_table(servos)
-    return Table(found.header, found.rows, servos.sentence)
+    return replace(gap_table(servos), caption=servos.sentence)
 
 
 def _servos_rows(servos: ServoFit) -> list[dict[str, Any]]:

@@ -22,13 +22,12 @@ from hybrid.diagnosis.answer.diagnosis import (
     Unseen,
     Value,
 )
-from hybrid.report.diagnosis import render_diagnosis, write_diagnosis
+from hybrid.report.diagnosis import _gap_rows, render_diagnosis, write_diagnosis
 from hybrid.report.diagnosis_data import (
     MOST_POINTS,
     _roughness,
     evidence_matrix,
     joint_curves,
-    rms_table,
     thin,
 )
 from hybrid.report.diagnosis_text import (
@@ -192,7 +191,7 @@ class TestCurves:
             assert joint_curves(planar(), i)["clouds"][0]["order"][0] == name
 
     def test_the_gap_falls_to_its_noise(self):
-        for row in rms_table(planar()):
+        for row in _gap_rows(planar())[0]:
             assert row["noise"] == pytest.approx(row["after"], rel=0.1)
             assert row["today"] > 2 * row["after"]
             assert row["torque"] > row["today"]

@@ -36,9 +36,9 @@ from hybrid.names import (
     printable,
     xml_comment,
 )
-from hybrid.report import Section, markdown_table, render_page
+from hybrid.report import Section, markdown_table
 from hybrid.report.fit import torque_figure
-from hybrid.report.output import figure_bytes
+from hybrid.report.output import figure_bytes, render_template
 from hybrid.report.table import Table
 from hybrid.robot import Robot
 
@@ -205,7 +205,9 @@ def parsed(page: str) -> Texts:
 def test_html_shows_the_name_and_nothing_of_it_becomes_a_tag(name):
     def page(name):
         table = Table(("", name), ((name, "1"),), caption=name)
-        return parsed(render_page(name, [Section(name, text=name, table=table)]))
+        sections = [Section(name, text=name, table=table)]
+        content = {"title": name, "lead": name, "sections": sections}
+        return parsed(render_template("page.html", provenance=None, **content))
 
     assert page(name).tags == page("plain").tags
     assert "".join(page(name).texts).count(name) >= 3

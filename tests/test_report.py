@@ -180,7 +180,7 @@ def test_page_is_one_file_that_loads_nothing(tmp_path):
         assert text in page
 
 
-def test_page_escapes_names():
+def test_page_escapes_names(tmp_path):
     evil = '<img src="x" onerror="alert(1)">'
     result = validation(joints=(evil, "elbow", "wrist"), robot=evil)
     sections = [
@@ -193,7 +193,10 @@ def test_page_escapes_names():
             command=evil,
         )
     ]
-    page = report.render_page(evil, sections, lead=evil, provenance={evil: evil})
+    report.write_page(
+        tmp_path / "x.html", evil, sections, lead=evil, provenance={evil: evil}
+    )
+    page = (tmp_path / "x.html").read_text(encoding="utf-8")
     assert evil not in page
     assert page.count("<img") == 1
 
@@ -212,8 +215,10 @@ def test_a_page_that_fails_leaves_the_old_one(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_foot_of_a_page_leaves_out_what_is_empty():
-    page = report.render_page("x", [], provenance={"seed": 0, "inputs": []})
+def test_the_foot_of_a_page_leaves_out_what_is_empty(tmp_path):
+    made = {"seed": 0, "inputs": []}
+    report.write_page(tmp_path / "x.html", "x", [], provenance=made)
+    page = (tmp_path / "x.html").read_text(encoding="utf-8")
     assert "seed" in page and "inputs" not in page
 
 

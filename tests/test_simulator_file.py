@@ -36,6 +36,7 @@ from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.exports import build_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.exports.simulator.friction import approximate_friction, curve
+from hybrid.exports.simulator.plan import plan
 from hybrid.model.declared import declared_effects
 from hybrid.plant import Plant, install, simulate
 from hybrid.plant.inverse import file_inverse_dynamics
@@ -199,7 +200,7 @@ def test_a_curve_of_friction_is_fitted_and_what_is_left_is_said():
     ]
     moved = motions(robot, count=2, seed=3)
     made = build_simulator(robot, curve, motions=moved)
-    (fitted,), (note,) = made.friction, made.notes
+    (fitted,), (note,) = plan(robot, curve, "mjcf", moved).friction, made.notes
     assert note.startswith("friction of elbow (stribeck")
     assert f"miss {fitted.missed:.3g} of" in note
     wanted = [*declared_effects(robot), *curve]
@@ -600,7 +601,7 @@ def test_friction_that_rises_to_a_level_is_written_and_read_back(dry, tmp_path):
     again = Robot.load(tmp_path / "arm.xml")
     assert again.knee[1] == pytest.approx(2.0, rel=0.05)
     assert again.frictionloss[1] == pytest.approx(0.95 * dry, abs=0.1)
-    (friction,) = made.friction
+    (friction,) = plan(bare, own, "mjcf", moved).friction
     assert friction.missed < 0.02 * friction.torque
     ours = torque(again, moved[0])[:, 1]
     theirs = file_inverse_dynamics(tmp_path / "arm.xml", robot.joints, moved[0], {})[

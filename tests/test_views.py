@@ -41,7 +41,8 @@ def motions(arm):
 
 def test_a_fit_shows_the_error_of_every_stage_and_joint(fit):
     html = fit._repr_html_()
-    assert "<th>shoulder</th>" in html and "<td>IRLS</td>" in html
+    assert '<th scope="col">shoulder</th>' in html
+    assert '<th scope="row">IRLS</th>' in html
 
 
 def test_everything_shows_itself_in_a_few_lines(arm, logs, fit, motions):

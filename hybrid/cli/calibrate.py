@@ -59,7 +59,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     task.add_argument(
         "--choose", type=options.count, metavar="N", help="poses to measure, instead"
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    options.add(parser, "--out", "--seed")
     parser.add_argument(
         "--free",
         type=options.names,
@@ -79,7 +79,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="plain least squares over all measurements",
     )
-    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -93,7 +92,7 @@ def run(args: Namespace, screen: Screen) -> None:
 
 def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
     path = args.out / "poses.csv"
-    how = options.begin(args, [path])
+    options.begin(args, path)
     candidates = random_poses(robot, _CANDIDATES, args.seed)
     with screen.working(f"choosing poses of {robot.name}"):
         rows = choose_poses(
@@ -102,7 +101,7 @@ def _choose(args: Namespace, robot: Robot, screen: Screen) -> None:
     chosen = np.round(candidates[rows], 6)  # µrad or µm
     names = [f"q_{joint}" for joint in robot.joints]
     write_columns(path, dict(zip(names, chosen.T, strict=True)))
-    options.write_record(args, how, {"robot": robot.name, "poses": chosen})
+    options.write_record(args, {"robot": robot.name, "poses": chosen})
     screen.say(f"{len(rows)} of {_CANDIDATES} random poses: {path}")
 
 
@@ -110,15 +109,15 @@ def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
     written, summary = args.out / args.robot.name, args.out / "calibration.json"
     data = read_measurements(args.poses, robot.joints)
     args.inputs.append(args.poses)
-    how = options.begin(args, [written, summary])
+    options.begin(args, written, summary)
     robust = not args.keep_outliers
     with screen.working(f"calibrating {robot.name} from {data.size} poses"):
         calibration = calibrate(robot, data, free=args.free, robust=robust)
         errors = cross_validate(robot, data, free=args.free, robust=robust)
     content = content_from_calibration(calibration, errors)
     calibration.save(written)
-    write_results(summary, content | {"provenance": how})
-    options.write_record(args, how, content)
+    write_results(summary, content | {"provenance": args.how})
+    options.write_record(args, content)
     _warn_of_wrong_columns(content["errors"])
     screen.show(errors_table(errors), corrections_table(calibration))
     for text in calibration.unidentifiable:

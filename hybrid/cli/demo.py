@@ -36,7 +36,7 @@ def run(args: Namespace, screen: Screen) -> None:
     arm, bag = (examples_folder() / name for name in ("ur10.urdf", "ur10_bag"))
     model, picture = args.out / "model.json", args.out / "torque.png"
     args.inputs += [arm, bag]
-    how = options.begin(args, [model, picture])
+    options.begin(args, model, picture)
     robot = Robot.load(arm)
     log = read(bag, joints=robot.joints)
     found = [inspect_recording(log, robot)]
@@ -47,7 +47,7 @@ def run(args: Namespace, screen: Screen) -> None:
         figure = excerpt_figure(fit.model, log)
     fit.model.save(model)
     save_figure(figure, picture)
-    options.write_record(args, how, content_from_fit(fit))
+    options.write_record(args, content_from_fit(fit))
     screen.show(held_out_table(fit))
     screen.say(f"model: {model}")
     screen.say(f"measured and identified torque: {picture}")

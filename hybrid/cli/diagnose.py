@@ -4,7 +4,6 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -57,9 +56,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="a model of the healthy arm, as identify writes it, in place of --robot: "
         "what has changed since?",
     )
-    options.add_recordings(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    options.add_cutoff(parser)
+    options.add(parser, "--recordings", "--map", "--out", "--cutoff", "--seed")
     servos.add_arguments(parser)
     parser.add_argument(
         "--rerun",
@@ -70,7 +67,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="write the arm, its replays and the gap over time to scrub through, .rrd "
         "for Rerun or .mcap for Foxglove; may be repeated",
     )
-    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -78,29 +74,27 @@ def run(args: Namespace, screen: Screen) -> None:
     for path in args.rerun:
         writer_of(path)  # refuses what cannot be written
     simulator = _simulator(args)
-    robot = simulator if isinstance(simulator, Robot) else simulator.robot
+    robot = _arm(simulator)
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
     outputs = [
         args.out / name for name in (PAGE, CONTENT, fixed.SIMULATOR, fixed.MODEL)
     ]
-    how = options.begin(args, [*outputs, *args.rerun])
+    options.begin(args, *outputs, *args.rerun)
     if not servos.check_arguments(args, recordings):
-        _diagnose_torque(args, robot, simulator, recordings, how, screen)
+        _diagnose_torque(args, simulator, recordings, screen)
     elif args.baseline:
         raise HybridError("--baseline needs logs with torque; these have none")
     else:
-        _diagnose_servos(args, robot, recordings, how, screen)
+        _diagnose_servos(args, robot, recordings, screen)
 
 
 def _diagnose_torque(
     args: Namespace,
-    robot: Robot,
     simulator: Robot | DynamicModel,
     recordings: Sequence[Recording],
-    how: dict[str, Any],
     screen: Screen,
 ) -> None:
-    with screen.working(f"diagnosing {robot.name}") as tell:
+    with screen.working(f"diagnosing {_arm(simulator).name}") as tell:
         result = diagnose.examine(
             simulator, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
         )
@@ -109,10 +103,10 @@ def _diagnose_torque(
         tell("writing the report", 0.95)
         with atomic_folder(args.out) as folder:
             advice = advise(result, rng, directory=folder)
-            diagnosis = replace(result.diagnosis, advice=advice, provenance=how)
+            diagnosis = replace(result.diagnosis, advice=advice, provenance=args.how)
             write_diagnosis(replace(result, diagnosis=diagnosis), folder)
             notes = _fix(result, folder, args.out)
-    options.write_record(args, how, diagnosis.as_dict())
+    options.write_record(args, diagnosis.as_dict())
     for line in verdict_lines(diagnosis):
         screen.say(line)
     screen.say(f"Report: {args.out / PAGE}")
@@ -139,6 +133,10 @@ def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> 
         screen.say(f"Recording to scrub through: {path}")
 
 
+def _arm(simulator: Robot | DynamicModel) -> Robot:
+    return simulator if isinstance(simulator, Robot) else simulator.robot
+
+
 def _simulator(args: Namespace) -> Robot | DynamicModel:
     """Load the simulator or the model to compare with."""
     if (args.robot is None) == (args.baseline is None):
@@ -151,20 +149,16 @@ def _simulator(args: Namespace) -> Robot | DynamicModel:
 
 
 def _diagnose_servos(
-    args: Namespace,
-    robot: Robot,
-    recordings: Sequence[Recording],
-    how: dict[str, Any],
-    screen: Screen,
+    args: Namespace, robot: Robot, recordings: Sequence[Recording], screen: Screen
 ) -> None:
     found = servos.fit(args, robot, recordings, screen)
     logs = [x for x in recordings if x.source in found.unseen] or list(recordings)
     replay = found.replayed(logs[0])
     with atomic_folder(args.out) as folder:
-        write_json(folder / CONTENT, {**found.as_dict(), "provenance": how})
-        write_servo_page(folder / PAGE, found, replay, provenance=how)
+        write_json(folder / CONTENT, {**found.as_dict(), "provenance": args.how})
+        write_servo_page(folder / PAGE, found, replay, provenance=args.how)
         found.save(folder / fixed.SIMULATOR)
-    options.write_record(args, how, found.as_dict())
+    options.write_record(args, found.as_dict())
     servos.show(found, screen)
     screen.say(f"Report: {args.out / PAGE}")
     screen.say(f"Simulator with what was found: {args.out / fixed.SIMULATOR}")

@@ -49,9 +49,8 @@ def run(args: Namespace, screen: Screen) -> None:
     else:
         found = list(effects.effect_classes().values())
     robot = options.load_robot(args) if args.robot else None
-    how = options.begin(args)
-    content = {"effects": [content_from_class(cls) for cls in found]}
-    options.write_record(args, how, content)
+    options.begin(args)
+    options.write_record(args, {"effects": [content_from_class(cls) for cls in found]})
     if args.effect:
         _show_one(found[0], screen)
         if robot:

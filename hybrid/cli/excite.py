@@ -1,7 +1,6 @@
 """``hybrid excite``: the motion that reveals the parameters."""
 
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
 import numpy as np
 
@@ -53,7 +52,7 @@ _PICTURES = ("motion.png", "information.png", "postures.png")
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     options.add_robot(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    options.add(parser, "--out", "--seed")
     parser.add_argument(
         "--effects",
         metavar="LIST",
@@ -68,7 +67,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         "(default); d: volume of the confidence ellipsoid; condition: number of the "
         "observation matrix, torque in N·m",
     )
-    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
     _add_motion(parser)
 
 
@@ -107,7 +105,7 @@ def run(args: Namespace, screen: Screen) -> None:
     effects = options.load_effects(wanted, robot)
     outputs = [*reference_paths(args.out, args.trajectories), args.out / DESIGN]
     pictures = [args.out / name for name in _PICTURES]
-    how = options.begin(args, [*outputs, *pictures])
+    options.begin(args, *outputs, *pictures)
     jerk = np.inf if args.jerk is None else args.jerk
     limits = Limits.of(robot, fill=args.fill, jerk=jerk)
     noise = None if plain else Noise.typical(robot).torque_covariance
@@ -129,13 +127,13 @@ def run(args: Namespace, screen: Screen) -> None:
             together=args.together,
             rate=max(20.0, 8.0 * args.order / args.duration),
         )
-    found.save(args.out, rate=args.rate, more={"provenance": how})
+    found.save(args.out, rate=args.rate, more={"provenance": args.how})
     motion, information, postures = pictures
     reference = found.trajectories[0].reference(50.0)
     save_figure(motion_figure(reference, robot.joints, limits), motion)
     save_figure(information_figure(found), information)
     save_figure(postures_figure(robot, reference), postures)
-    options.write_record(args, how, found.as_dict())
+    options.write_record(args, found.as_dict())
     _tell(args, screen, found)
 
 

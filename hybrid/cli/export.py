@@ -8,17 +8,13 @@ from hybrid.arrays import Array
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError
-from hybrid.exports import export, read_manifest
+from hybrid.exports import FORMATS, export, read_manifest
 from hybrid.exports.manifest import FILE as MANIFEST
 from hybrid.exports.simulator.check import gaps
 from hybrid.identification import DynamicModel
 from hybrid.identification.preparation import checked_logs, motions_from_logs
 from hybrid.names import file_stem
 from hybrid.signals import Motion
-
-_FORMATS = (
-    "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
-)  # fmt: skip
 
 HELP = """\
 c            one C99 header with an example and CMakeLists.txt; torque from q, v and a,
@@ -49,16 +45,16 @@ _FITTED = ("mjcf", "urdf", "isaaclab")
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    parser.add_argument("--format", required=True, choices=_FORMATS)
+    options.add(parser, "--model", "--out")
+    parser.add_argument("--format", required=True, choices=FORMATS)
     parser.add_argument(
         "--robot",
         type=Path,
         metavar="FILE",
         help="robot file to write again (default: the model's, if it is beside it)",
     )
-    options.add_recordings(parser, required=False)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    options.add(parser, "--recordings", required=False)
+    options.add(parser, "--map")
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -67,14 +63,13 @@ def run(args: Namespace, screen: Screen) -> None:
         raise HybridError(f"{args.out}: is a file; valid is the name of a folder")
     model = _with_file(options.load_model(args, args.model), args)
     motions = _motions(args, model, screen)
-    how = options.begin(args, [args.out / MANIFEST])
+    options.begin(args, args.out / MANIFEST)
     with screen.working("exporting"):
         left_out = export(model, args.out, format=args.format, motions=motions)
     robot = model.robot
     content = {"robot": robot.name, "joints": robot.joints, "format": args.format}
     gap = _gap(args, model, motions)
-    found = {name: x.tolist() for name, x in gap.items()}
-    options.write_record(args, how, {**content, "left_out": left_out, "gap": found})
+    options.write_record(args, {**content, "left_out": left_out, "gap": gap})
     files = ", ".join(sorted([MANIFEST, *read_manifest(args.out)["files"]]))
     screen.say(f"{robot.name} as {args.format} in {args.out}: {files}")
     for text in left_out:

@@ -36,7 +36,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         metavar="FILE",
         help="the arms, if PLAN is a folder",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    options.add(parser, "--out")
     parser.add_argument(
         "--scheduler",
         metavar="ADDRESS",
@@ -54,7 +54,7 @@ def run(args: Namespace, screen: Screen) -> None:
     """Run the fleet, write and show."""
     plan = read_plan(args.plan, robot=args.robot)
     args.inputs += [args.plan] if args.plan.is_file() else []
-    how = options.begin(args, [args.out / "report.html"])
+    options.begin(args, args.out / "report.html")
     with screen.working("looking for logs") as tell:
         found = fleet(
             plan,
@@ -64,14 +64,14 @@ def run(args: Namespace, screen: Screen) -> None:
             progress=tell,
         )
         tell("writing the report")
-        page = write_fleet_pages(args.out, found, provenance=how)
+        page = write_fleet_pages(args.out, found, provenance=args.how)
     tables = fleet_tables(found)
     content = {
         name: [dict(zip(x.header, row, strict=True)) for row in x.rows]
         for name, x in tables.items()
     }
     whole = {"arm_months": found.arm_months, "shared": list(found.shared)}
-    options.write_record(args, how, whole | content)
+    options.write_record(args, whole | content)
     screen.show(*(x.filled() for x in tables.values() if x.rows))
     screen.say(lead_sentence(found))
     screen.say(f"report: {page}")

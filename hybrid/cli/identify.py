@@ -1,8 +1,6 @@
 """``hybrid identify``: a dynamic model from recordings."""
 
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
-from typing import Any
 
 from hybrid import identification
 from hybrid.cli.shared import options, servos
@@ -37,8 +35,8 @@ _SHOWN = 10  # lines of what is unidentifiable
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     options.add_robot(parser)
-    options.add_recordings(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="MODEL.json")
+    options.add(parser, "--recordings", "--map", "--seed")
+    options.add(parser, "--out", metavar="MODEL.json")
     parser.add_argument(
         "--estimator",
         default="irls",
@@ -59,7 +57,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="more effects whose gains shall be found, as effect[:joint[+joint]]"
         "[(shape=value;...)] between commas; see 'hybrid effects'",
     )
-    options.add_cutoff(parser)
+    options.add(parser, "--cutoff")
     parser.add_argument(
         "--robust", action="store_true", help="weigh down stretches that do not fit"
     )
@@ -69,7 +67,6 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="give the links parameters of bodies that could be built",
     )
     servos.add_arguments(parser)
-    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -85,9 +82,9 @@ def run(args: Namespace, screen: Screen) -> None:
             f"{args.out}: of logs without torque comes a simulator; valid is the name "
             "of an .xml file"
         )
-    how = options.begin(args, [args.out])
+    options.begin(args, args.out)
     if servo:
-        _save_servos(servos.fit(args, robot, recordings, screen), args, how, screen)
+        _save_servos(servos.fit(args, robot, recordings, screen), args, screen)
         return
     with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):
         fit = identification.identify(
@@ -103,7 +100,7 @@ def run(args: Namespace, screen: Screen) -> None:
             seed=args.seed,
         )
     fit.model.save(args.out)
-    options.write_record(args, how, content_from_fit(fit))
+    options.write_record(args, content_from_fit(fit))
     _show(fit, screen)
     screen.say(f"model: {args.out}")
 
@@ -119,9 +116,7 @@ def _show(fit: Fit, screen: Screen) -> None:
     screen.show(effects_table(fit))
 
 
-def _save_servos(
-    found: ServoFit, args: Namespace, how: dict[str, Any], screen: Screen
-) -> None:
+def _save_servos(found: ServoFit, args: Namespace, screen: Screen) -> None:
     """Write the user's simulator with the servos found, if they replay no worse."""
     if found.after.mean() > found.before.mean() + found.floor.mean():
         raise HybridError(
@@ -131,6 +126,6 @@ def _save_servos(
             "varied motion"
         )
     found.save(args.out)
-    options.write_record(args, how, found.as_dict())
+    options.write_record(args, found.as_dict())
     servos.show(found, screen)
     screen.say(f"simulator: {args.out}")

@@ -35,7 +35,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "recordings", nargs="+", metavar="PATH", help="files, folders or globs"
     )
-    options.add_map(parser)
+    options.add(parser, "--map")
     options.add_robot(parser, required=False, more=", to hold the logs against physics")
     parser.add_argument(
         "--page", type=Path, metavar="FILE.html", help="write all of it, with a picture"
@@ -49,12 +49,12 @@ def run(args: Namespace, screen: Screen) -> None:
     robot = options.load_robot(args) if args.robot else None
     joints = robot.joints if robot else None
     recordings = options.read_logs(args, screen, joints, torque=False)
-    how = options.begin(args, [args.page])
+    options.begin(args, args.page)
     with screen.working(f"inspecting {len(recordings)} recordings"):
         found = [inspect_recording(x, robot) for x in recordings]
-    options.write_record(args, how, {"logs": [x.as_dict() for x in found]})
+    options.write_record(args, {"logs": [x.as_dict() for x in found]})
     if args.page:
-        write_inspection(args.page, found, provenance=how)
+        write_inspection(args.page, found, provenance=args.how)
     screen.show(*readings_tables(found), clocks_table(found), joints_table(found))
     screen.show(doubts_table(found))
     for sentence in untold_sentences(found):

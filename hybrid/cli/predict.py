@@ -1,7 +1,6 @@
 """``hybrid predict``: torque that a model gives along a recording."""
 
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
 import numpy as np
 
@@ -25,9 +24,8 @@ example:
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    options.add_recording(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE")
+    options.add(parser, "--model", "--recording", "--map")
+    options.add(parser, "--out", metavar="FILE")
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -38,7 +36,7 @@ def run(args: Namespace, screen: Screen) -> None:
     (recording,) = options.read_logs(args, screen, joints, torque=False)
     # On the clock that the prediction will have.
     pieces = check_recordings([recording], model.robot)
-    how = options.begin(args, [args.out])
+    options.begin(args, args.out)
     with screen.working("predicting"):
         tau = np.concatenate([predict(model, x) for x in pieces])
     t = np.concatenate([x.t for x in pieces])
@@ -49,5 +47,5 @@ def run(args: Namespace, screen: Screen) -> None:
         measured = np.concatenate([x.tau for x in pieces])
         rms = np.sqrt(np.mean((measured - tau) ** 2, axis=0))
     content = {"robot": model.robot.name, "joints": joints, "samples": len(tau)}
-    options.write_record(args, how, {**content, "rms": rms})
+    options.write_record(args, {**content, "rms": rms})
     screen.say(f"{len(tau):,} samples of {len(joints)} joints in {args.out}")

@@ -36,8 +36,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--trajectories", type=options.count, default=4, metavar="N")
     words = "length of each trajectory, s (default 10)"
     options.add_number(parser, "--duration", "S", words, 10.0)
-    parser.add_argument("--seed", type=options.whole, default=0, metavar="N")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    options.add(parser, "--out", "--seed")
     parser.add_argument("--format", choices=("csv", "parquet", "npz"), default="csv")
 
 
@@ -47,7 +46,7 @@ def run(args: Namespace, screen: Screen) -> None:
     paths = recording_paths(args.out, args.trajectories, suffix)
     writer_of(paths[0])  # refuses what cannot be written
     plant = options.load_plant(args)
-    how = options.begin(args, [*paths, args.out / TRUTH])
+    options.begin(args, *paths, args.out / TRUTH)
     with screen.working(f"simulating {plant.robot.name}"):
         recordings = simulate(
             plant,
@@ -56,9 +55,9 @@ def run(args: Namespace, screen: Screen) -> None:
             seed=args.seed,
         )
     truth = content_from_plant(plant)
-    write_run(args.out, recordings, truth | {"provenance": how}, suffix=suffix)
+    write_run(args.out, recordings, truth | {"provenance": args.how}, suffix=suffix)
     files = [{"file": path.name, "sha256": options.sha256(path)} for path in paths]
-    options.write_record(args, how, truth | {"recordings": files})
+    options.write_record(args, truth | {"recordings": files})
     screen.say(
         f"{plant.robot.name}: {len(paths)} trajectories of {args.duration:g} s with "
         f"{len(plant.effects)} effects in {args.out}"

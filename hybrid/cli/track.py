@@ -1,7 +1,6 @@
 """``hybrid track``: parameters followed sample by sample along a recording."""
 
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 from time import perf_counter_ns
 
 import numpy as np
@@ -37,9 +36,8 @@ _WEIGHED = 1.0  # s after which the mass of a payload is read
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
-    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    options.add_recording(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE")
+    options.add(parser, "--model", "--recording", "--map")
+    options.add(parser, "--out", metavar="FILE")
     words = "relative standard deviation of the model's parameters (default: 0.05)"
     options.add_number(parser, "--prior", "SHARE", words, 0.05)
 
@@ -54,7 +52,7 @@ def run(args: Namespace, screen: Screen) -> None:
     # The tracker leaves wrong rows out, and says so; a wrong column it believes.
     doubts = inspect_recording(recording, model.robot).doubts
     raise_or_warn(doubts, recording.source, rows=False)
-    how = options.begin(args, [args.out])
+    options.begin(args, args.out)
     tracker = OnlineIdentifier.from_model(model, rate=recording.rate, prior=args.prior)
     with screen.working(f"tracking {len(recording.t):,} samples"):
         rows, changes, taken = _tracked(tracker, recording)
@@ -71,7 +69,7 @@ def run(args: Namespace, screen: Screen) -> None:
         "noise": tracker.noise,
         "microseconds": np.median(taken) / 1000,
     }
-    options.write_record(args, how, content)
+    options.write_record(args, content)
     for found in changes:
         word = "grasped" if found["mass"] > 0 else "dropped"
         screen.say(f"{found['t']:.2f} s: {abs(found['mass']):.3g} kg {word}")

@@ -1,7 +1,6 @@
 """``hybrid validate``: errors of a model on recordings it has not seen."""
 
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
@@ -26,8 +25,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     options.add_robot(
         parser, required=False, more=", to be sure that it is the model's"
     )
-    parser.add_argument("--model", type=Path, required=True, metavar="MODEL.json")
-    options.add_recordings(parser)
+    options.add(parser, "--model", "--recordings", "--map")
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -36,10 +34,10 @@ def run(args: Namespace, screen: Screen) -> None:
     robot = options.load_robot(args) if args.robot else model.robot
     check_same_arm(model, robot)  # before a recording is blamed for it
     recordings = options.read_logs(args, screen, robot.joints)
-    how = options.begin(args)
+    options.begin(args)
     with screen.working(f"validating on {len(recordings)} recordings"):
         validation = validate(model, recordings, robot=robot)
-    options.write_record(args, how, validation.as_dict())
+    options.write_record(args, validation.as_dict())
     screen.show(table_from_validation(validation))
     plain, last = validation.reference, validation.rows[-1]
     change = validation.reduction

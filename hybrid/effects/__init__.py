@@ -2,7 +2,7 @@
 
 from hybrid.effects.effect import Effect, Port, Scope
 from hybrid.effects.instant import Memory, Scalar
-from hybrid.effects.joint_effect import JointEffect
+from hybrid.effects.joint_effect import JointEffect, law_of_fields
 from hybrid.effects.quantity import Quantity, Scale
 from hybrid.effects.state import Body, JointState, Nominal
 
@@ -23,6 +23,7 @@ __all__ = [
     "effect_from_dict",
     "effects_from_file",
     "effects_from_text",
+    "law_of_fields",
 ]
 
 from hybrid.effects.registry import (

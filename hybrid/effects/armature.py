@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, Port, Quantity, law_of_fields
 
 if TYPE_CHECKING:
     import mujoco
@@ -26,11 +25,7 @@ class Armature(JointEffect):
     source = "Siciliano et al. 2009, doi 10.1007/978-1-84628-642-1, section 7.2"
     sentence = "The rotor of {joints} is heavier or lighter than the simulator says."
     remedy = "Set the joint's armature to rotor inertia times the gear ratio squared."
-
-    @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per kg·m² of reflected rotor inertia."""
-        return (state.a,)
+    law = law_of_fields(fields)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Add the rotor inertia to the joint's armature."""

@@ -1,10 +1,8 @@
 """Friction that differs between the two directions."""
 
 from collections.abc import Sequence
-from typing import Any
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class AsymmetricFriction(JointEffect):
@@ -21,6 +19,6 @@ class AsymmetricFriction(JointEffect):
     remedy = "Give the joint two friction levels, one for each direction."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per N·m of level."""
         return (abs(state.sign),)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,7 @@ class Backlash(Effect):
     not_in_loop = "it needs the load that comes next, to know when the gap is crossed"
     steep = True
     behind = "play"
-    inexact: ClassVar[Mapping[str, float]] = {"half_width": 0.1}  # softness of stops
+    inexact = {"half_width": 0.1}  # softness of stops
     gains = (Quantity("half_width", "rad", 0.001, 0.0, 0.01),)
     equation = "τ = rigid(θ + d); d = −b sgn(τ_load) at a stop, d̈ = −τ_load/M between"
     source = "Nordin and Gutman 2002, doi 10.1016/S0005-1098(02)00047-X"

@@ -19,7 +19,7 @@ class ControllerGain(Effect):
     id = "controller_gain"
     port = Port.COMMAND
     # Relative to the whole gains; noise of the speed limits the damping.
-    inexact: ClassVar[Mapping[str, float]] = {"damping": 0.03, "stiffness": 0.001}
+    inexact = {"damping": 0.03, "stiffness": 0.001}
     # The effect of a wrong scale of the logged torque, which looks like other gains.
     at_scale: ClassVar[tuple[str, ...]] = ("torque_gain",)
     not_in_loop = "it lies between command and torque"

@@ -1,10 +1,6 @@
 """Dry friction of constant size."""
 
-from collections.abc import Sequence
-from typing import Any
-
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, Port, Quantity, law_of_fields
 
 
 class Coulomb(JointEffect):
@@ -20,8 +16,4 @@ class Coulomb(JointEffect):
     source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     sentence = "Dry friction of {joints} differs from the simulator's."
     remedy = "Set the joint's frictionloss to the fitted level."
-
-    @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per N·m of level."""
-        return (state.sign,)
+    law = law_of_fields(fields)

@@ -1,12 +1,11 @@
 """A cylinder or spring that balances a part of the arm's weight."""
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class Counterbalance(JointEffect):
@@ -44,7 +43,7 @@ class Counterbalance(JointEffect):
         return self.at({"dead_centre": float(np.angle(np.exp(1j * angle)))})
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per N·m of spring and of preload."""
         angle, ratio = state.q - shapes["dead_centre"], shapes["crank_ratio"]
         sine = np.sin(angle)

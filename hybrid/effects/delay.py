@@ -1,8 +1,5 @@
 """A time shift between logged torque and position."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 
 from hybrid.arrays import Array
@@ -19,7 +16,7 @@ class Delay(Effect):
     differentiates = True
     shifts = True
     # The parameters of the file, from which the shifted torque is made, are inexact.
-    inexact: ClassVar[Mapping[str, float]] = {"time": 0.03}
+    inexact = {"time": 0.03}
     not_in_loop = "it is of the log's clocks; a drive needs its torque now"
     gains = (Quantity("time", "s", 0.005, -0.05, 0.05),)
     equation = "τ_reported(t) = τ(t − T)"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -39,7 +39,7 @@ class Elasticity(Effect):
     steep = True
     behind = "deflection"
     # Noise of positions is largest at the natural frequency, and looks like damping.
-    inexact: ClassVar[Mapping[str, float]] = {"compliance": 0.05, "damping": 0.5}
+    inexact = {"compliance": 0.05, "damping": 0.5}
     not_in_loop = "its link swings by the load that comes next"
     gains = (Quantity("compliance", "rad/(N·m)", 0.01, 0.0, 0.5, per=(-1, 0)),)
     shapes = (Quantity("damping", "N·m·s/rad", 0.02, 0.0, 1.0, per=(1, -1)),)

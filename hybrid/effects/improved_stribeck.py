@@ -1,12 +1,10 @@
 """Coulomb, Stribeck and viscous friction in one law, linear about rest."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class ImprovedStribeck(JointEffect):
@@ -43,7 +41,7 @@ class ImprovedStribeck(JointEffect):
     )
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per unit of sliding, break-away and viscous friction."""
         speed, width = abs(state.v), shapes["width"]
         stuck = np.exp(-((np.maximum(speed, width) / shapes["velocity"]) ** 2))

@@ -5,7 +5,7 @@ symbols from which an export makes C or ONNX. Scalars have arithmetic, compariso
 NumPy's functions, but no branches: use ``np.where``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from hybrid.arrays import Array
@@ -14,12 +14,17 @@ from hybrid.errors import EffectError
 
 Scalar = Any  # float, array or symbol
 Memory = tuple[Scalar, ...]
-# Fields of a simulator's joint: τ = armature·a + damping·v + quadratic·v|v| + cubic·v³
-# + stiffness·q + preload + frictionloss·sgn v. Only the preload, which is that of a
-# spring, may be negative.
-FIELDS = (
-    "armature", "damping", "quadratic", "cubic", "stiffness", "preload", "frictionloss",
-)  # fmt: skip
+# Torque of a simulator's joint per unit of each of its fields. Only the preload, which
+# is that of a spring, may be negative.
+FIELDS: Mapping[str, Callable[[JointState], Scalar]] = {
+    "armature": lambda joint: joint.a,
+    "damping": lambda joint: joint.v,
+    "quadratic": lambda joint: joint.v * abs(joint.v),
+    "cubic": lambda joint: joint.v**3,
+    "stiffness": lambda joint: joint.q,
+    "preload": lambda joint: 1.0 + 0.0 * joint.q,
+    "frictionloss": lambda joint: joint.sign,
+}
 # Fields that are functions of speed; and ``friction``, a curve for which a simulator
 # has no field, so that the others approximate it.
 FRICTION = ("damping", "quadratic", "cubic", "frictionloss", "friction")

@@ -1,14 +1,14 @@
 """Laws that depend on the state of one joint only."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects.effect import Effect
-from hybrid.effects.instant import Memory, Scalar
+from hybrid.effects.instant import FIELDS, Memory, Scalar
 from hybrid.effects.state import Body, JointState
 from hybrid.signals import Motion
 
@@ -24,13 +24,16 @@ class JointEffect(Effect):
 
     @staticmethod
     @abstractmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per unit of each gain, with the shape of the arrays of ``state``."""
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, 1, p)."""
-        state = _StateAlong(motion, body, self.joints[0])
-        unit = np.ones_like(state.v)
+        (j,) = self.joints
+        q, v, a = motion.q[:, j], motion.v[:, j], motion.a[:, j]
+        warm = None if motion.temperature is None else motion.temperature[:, j]
+        state = JointState(motion.t, q, v, a, np.sign(v), body.load[:, j], warm)
+        unit = np.ones_like(v)
         laws = [unit * x for x in self.law(state, **self.shape_values)]
         return np.stack(laws, axis=-1)[:, None, :]
 
@@ -45,23 +48,10 @@ class JointEffect(Effect):
         ], ()
 
 
-class _StateAlong(JointState):
-    """A joint's state along a motion; the load is computed on demand."""
+def law_of_fields(fields: Mapping[str, str]) -> Any:
+    """The law of an effect whose gains are fields of a simulator's joint."""
 
-    def __init__(self, motion: Motion, body: Body, joint: int) -> None:
-        v, warm = motion.v[:, joint], motion.temperature
-        self.__dict__.update(
-            t=motion.t,
-            q=motion.q[:, joint],
-            v=v,
-            a=motion.a[:, joint],
-            sign=np.sign(v),
-            temperature=None if warm is None else warm[:, joint],
-            _loaded=(body, joint),
-        )
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
+        return [FIELDS[field](state) for field in fields.values()]
 
-    @property
-    def load(self) -> Array:  # type: ignore[override]
-        """Torque transmitted to the link, shape (N,), [N·m]."""
-        body, joint = self.__dict__["_loaded"]
-        return np.asarray(body.load[:, joint])
+    return staticmethod(law)

@@ -1,10 +1,8 @@
 """Dry friction that grows with the transmitted torque."""
 
 from collections.abc import Sequence
-from typing import Any
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class LoadFriction(JointEffect):
@@ -21,6 +19,6 @@ class LoadFriction(JointEffect):
     remedy = "Model the gear's efficiency: friction proportional to transmitted torque."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per unit of coefficient."""
         return (abs(state.load) * state.sign,)

@@ -1,10 +1,6 @@
 """Nonlinear viscous friction."""
 
-from collections.abc import Sequence
-from typing import Any
-
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, Port, Quantity, law_of_fields
 
 
 class NonlinearViscous(JointEffect):
@@ -21,8 +17,4 @@ class NonlinearViscous(JointEffect):
     source = "Simoni et al. 2019, doi 10.1017/S0263574717000509"
     sentence = "Friction of {joints} grows with speed in a curve, not in a line."
     remedy = "Give the joint a speed-dependent friction table instead of one damping."
-
-    @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per unit of the quadratic and of the cubic coefficient."""
-        return state.v * abs(state.v), state.v**3
+    law = law_of_fields(fields)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -30,9 +30,7 @@ class Payload(Effect):
 
     id = "payload"
     port = Port.BODY
-    told_apart: ClassVar[Mapping[str, str]] = {
-        "link_inertia": "take off what the arm carries and repeat a motion"
-    }
+    told_apart = {"link_inertia": "take off what the arm carries and repeat a motion"}
     scope: ClassVar[Scope] = "arm"
     differentiates = True
     gains = (
@@ -98,8 +96,8 @@ class LinkInertia(Payload):
 
     id = "link_inertia"
     inborn = True
-    told_apart: ClassVar[Mapping[str, str]] = {}
-    scope: ClassVar[Scope] = "coupling"
+    told_apart = {}
+    scope = "coupling"
     equation = "τ = Y_k(q, v, a) · Δπ_k"
     sentence = "Mass or inertia of the link at {joints} is not the simulator's."
     remedy = "Correct the link's mass, centre of mass and inertia."

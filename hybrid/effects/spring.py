@@ -1,10 +1,6 @@
 """A linear spring at a joint: hose, cable or counterbalance."""
 
-from collections.abc import Sequence
-from typing import Any
-
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, Port, Quantity, law_of_fields
 
 
 class Spring(JointEffect):
@@ -21,8 +17,4 @@ class Spring(JointEffect):
     source = "Hollerbach et al. 2016, doi 10.1007/978-3-319-32552-1_6"
     sentence = "A spring, hose or counterbalance pulls on {joints}."
     remedy = "Add a joint spring, or the counterbalance's geometry, to the simulator."
-
-    @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per unit of stiffness and of preload."""
-        return state.q, 1.0 + 0.0 * state.q
+    law = law_of_fields(fields)

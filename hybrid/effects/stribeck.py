@@ -1,12 +1,10 @@
 """Stribeck friction, which falls with speed."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class Stribeck(JointEffect):
@@ -30,7 +28,7 @@ class Stribeck(JointEffect):
     )
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per N·m of level."""
         ratio = abs(state.v) / shapes["velocity"]
         return (np.exp(-(ratio ** shapes["exponent"])) * state.sign,)

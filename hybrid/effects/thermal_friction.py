@@ -1,12 +1,10 @@
 """Additional viscous friction of a cold gear."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 _ROOM = 20.0  # °C
 
@@ -34,7 +32,7 @@ class ThermalFriction(JointEffect):
     remedy = "Warm the arm up first, or let damping follow the drive's temperature."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per N·m·s/rad of cold friction."""
         if state.temperature is None:
             return (np.exp(-state.t / shapes["time_constant"]) * state.v,)

@@ -1,12 +1,10 @@
 """Friction with separate laws below and above a speed threshold."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class ThresholdFriction(JointEffect):
@@ -61,7 +59,7 @@ class ThresholdFriction(JointEffect):
         return {k: x for k, x in self.fields.items() if dry or x != "frictionloss"}
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per unit of each coefficient."""
         speed, width = abs(state.v), shapes["width"]
         # Without a width the full level acts at rest too, where a plant has a sign.

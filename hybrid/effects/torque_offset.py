@@ -1,10 +1,6 @@
 """Constant offset of the reported torque."""
 
-from collections.abc import Sequence
-from typing import Any
-
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, Port, Quantity, law_of_fields
 
 
 class TorqueOffset(JointEffect):
@@ -23,8 +19,4 @@ class TorqueOffset(JointEffect):
     source = "Swevers et al. 1997, doi 10.1109/70.631234"
     sentence = "The reported torque of {joints} is shifted by a constant."
     remedy = "Zero the current sensor with the drive off."
-
-    @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per N·m of level."""
-        return (1.0 + 0.0 * state.q,)
+    law = law_of_fields(fields)

@@ -1,12 +1,10 @@
 """Torque that repeats with joint position."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
 
 
 class TorqueRipple(JointEffect):
@@ -34,7 +32,7 @@ class TorqueRipple(JointEffect):
     remedy = "Compensate the ripple from a position table, or move faster than it."
 
     @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
+    def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
         """Torque per N·m of the sine and of the cosine amplitude."""
         angle = shapes["periods"] * state.q
         fade = 2.0 - abs(state.v) / shapes["fastest"]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hybrid.arrays import Array
-from hybrid.effects import JointEffect, JointState, Port, Quantity
+from hybrid.effects import JointEffect, Port, Quantity, law_of_fields
 
 if TYPE_CHECKING:
     import mujoco
@@ -24,11 +23,7 @@ class Viscous(JointEffect):
     source = "Armstrong-Hélouvry et al. 1994, doi 10.1016/0005-1098(94)90209-7"
     sentence = "Viscous friction of {joints} differs from the simulator's."
     remedy = "Set the joint's damping to the fitted coefficient."
-
-    @staticmethod
-    def law(state: JointState, **shapes: Any) -> Sequence[Array]:
-        """Torque per N·m·s/rad of coefficient."""
-        return (state.v,)
+    law = law_of_fields(fields)
 
     def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
         """Add it to the joint's damping, which is stable for a light link."""

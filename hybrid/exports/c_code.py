@@ -5,10 +5,12 @@ expressions, loops of fixed length, and a returned status.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
-from hybrid.dynamics.tape import Operation, Symbol
+from hybrid import __version__
+from hybrid.dynamics import Law
 from hybrid.errors import HybridError
 from hybrid.exports.manifest import UNITS_OF_KIND
 from hybrid.model.program import Program
@@ -168,7 +170,7 @@ _FORGET = """\
 LIMITS = ("q_min", "q_max", "v_max", "tau_max")
 
 
-def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> str:
+def c_header(program: Program, robot: Robot, digest: str) -> str:
     """Write the header."""
     p, n, size = c_identifier(robot.name), robot.size, len(program.memory)
     marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": n, "size": size}
@@ -179,17 +181,18 @@ def c_header(program: Program, robot: Robot, *, digest: str, version: str) -> st
         robot=c_comment(robot.name),
         joints="\n".join(_joint(robot, k) for k in range(n)),
         digest=digest,
-        version=version,
+        version=__version__,
         fingerprint=robot.fingerprint(),
         limits="\n".join(_limits(robot, name, marks) for name in LIMITS),
         memory=memory if size else "",
         forget=_FORGET.format(**marks) if size else "",
     )
+    lines, outputs = _statements(program, marks)
     body = _TORQUE.format(
         **marks,
         room=f"    {p}_real keep[{size}];\n" if size else "",
-        lines="\n".join(_lines(program, marks)),
-        outputs="\n".join(_outputs(program, marks)),
+        lines=lines,
+        outputs=outputs,
         kept=_KEPT.format(**marks) if size else "",
     )
     return head + body
@@ -218,39 +221,37 @@ def _wrapped(numbers: Sequence[str]) -> str:
     )
 
 
-def _lines(program: Program, marks: dict[str, Any]) -> Iterator[str]:
-    P = str(marks["P"])
-    for line in program.tape.needed(program.results):
-        text = _expression(program.tape.lines[line], P)
-        yield f"    const {marks['p']}_real x{line} = {text};"
+def _statements(program: Program, marks: dict[str, Any]) -> tuple[str, str]:
+    """Lines that compute every operation, and lines that set the outputs."""
+    p, P = marks["p"], str(marks["P"])
+    lines: list[str] = []
 
+    def text(x: str | float) -> str:
+        return x if isinstance(x, str) else c_number(float(x), P)
 
-def _expression(operation: Operation, P: str) -> str:
-    if operation.name == "input":
-        text = str(operation.arguments[0])
-        if text[0] in "qva":
-            return text
-        return f"s->{text}" if text[:6] in ("memory", "step") else f"{P}_R(s->{text})"
-    x = [
-        f"x{y}" if isinstance(y, int) else c_number(float(y), P)
-        for y in operation.arguments
+    def put(template: str, *given: str | float) -> str:
+        name, value = f"x{len(lines)}", template.format(*map(text, given), P=P)
+        lines.append(f"    const {p}_real {name} = {value};")
+        return name
+
+    law = Law(program.tape, program.results, program.inputs)
+    found = law.by({name: partial(put, x) for name, x in _OPERATIONS.items()})
+    results = found(*(_input(name, P) for name in program.inputs))
+    sizes = {"out": program.torque, "spread": program.variance, "keep": program.memory}
+    targets = [(name, j) for name, x in sizes.items() for j in range(len(x))]
+    outputs = [
+        f"    {name}[{j}] = {text(x)};"
+        for (name, j), x in zip(targets, results, strict=True)
+        if name != "spread" or isinstance(x, str)  # nothing was learned of a joint
     ]
-    return _OPERATIONS[operation.name].format(*x, P=P)
+    return "\n".join(lines), "\n".join(outputs)
 
 
-def _outputs(program: Program, marks: dict[str, Any]) -> Iterator[str]:
-    P = str(marks["P"])
-
-    def value(x: Any) -> str:
-        return f"x{x.line}" if isinstance(x, Symbol) else c_number(float(x), P)
-
-    for j, x in enumerate(program.torque):
-        yield f"    out[{j}] = {value(x)};"
-    for j, x in enumerate(program.variance):
-        if isinstance(x, Symbol):
-            yield f"    spread[{j}] = {value(x)};"
-    for i, x in enumerate(program.memory):
-        yield f"    keep[{i}] = {value(x)};"
+def _input(name: str, P: str) -> str:
+    """An input of the tape in C; the time is always in double precision."""
+    if name[0] in "qva":
+        return name
+    return f"s->{name}" if name[:6] in ("memory", "step") else f"{P}_R(s->{name})"
 
 
 def c_number(x: float, P: str, *, finite: bool = True) -> str:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from hybrid import __version__
 from hybrid.exports.c_code import c_header, c_number
 from hybrid.exports.manifest import UNITS_OF_KIND
 from hybrid.model.dynamic_model import DynamicModel
@@ -83,7 +82,7 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
     """Write ``<arm>.h``, ``example.c`` and ``CMakeLists.txt``."""
     robot = model.robot
     p = c_identifier(robot.name)
-    header = c_header(program, robot, digest=digest, version=__version__)
+    header = c_header(program, robot, digest)
     rng = np.random.default_rng(0)
     low = np.where(np.isfinite(robot.q_min), robot.q_min, -1.0)
     high = np.where(np.isfinite(robot.q_max), robot.q_max, 1.0)

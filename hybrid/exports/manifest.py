@@ -6,14 +6,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hybrid import __version__
 from hybrid.errors import ModelFileError
 from hybrid.files import read_json, write_json
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.model.model_file import content_from_model
 from hybrid.robot import Robot
+from hybrid.shown import plain
 
 SCHEMA = "hybrid.export/2"
 FILE = "manifest.json"
@@ -24,17 +23,12 @@ UNITS_OF_KIND = {  # of a revolute joint (True), and of a prismatic one
 _TRIES = 100  # to read a folder that other processes replace meanwhile
 
 
-def model_digest(model: DynamicModel) -> str:
-    """SHA-256 of a model, as its saved file has it."""
-    return str(content_from_model(model)["sha256"])
-
-
 def build_manifest(
     model: DynamicModel,
     *,
     format: str,
     left_out: Sequence[str],
-    memory: Sequence[str] = (),
+    memory: Sequence[str],
 ) -> dict[str, Any]:
     """Description of an export for JSON.
 
@@ -42,23 +36,24 @@ def build_manifest(
     """
     robot = model.robot
     limits = ("q_min", "q_max", "v_max", "a_max", "tau_max")
-    return {
+    content = {
         "schema": SCHEMA,
         "version": __version__,
         "format": format,
-        "model_sha256": model_digest(model),
+        "model_sha256": content_from_model(model)["sha256"],
         "robot": robot.name,
         "fingerprint": robot.fingerprint(),
-        "joints": list(robot.joints),
+        "joints": robot.joints,
         "units": _units(robot),
-        "limits": {name: _finite(getattr(robot, name)) for name in limits},
-        "training_range": {k: _finite(x) for k, x in sorted(model.range.items())},
-        "cutoff": model.cutoff if np.isfinite(model.cutoff) else None,
+        "limits": {name: getattr(robot, name) for name in limits},
+        "training_range": dict(sorted(model.range.items())),
+        "cutoff": model.cutoff,
         "effects": [effect.as_dict(robot.joints) for effect in model.effects],
         "remainder": None if model.remainder is None else model.remainder.as_dict(),
-        "memory": list(memory),
-        "left_out": list(left_out),
+        "memory": memory,
+        "left_out": left_out,
     }
+    return dict(plain(content))
 
 
 def seal(manifest: Mapping[str, Any], folder: Path, before: Path) -> None:
@@ -139,7 +134,3 @@ def _units(robot: Robot) -> dict[str, str | list[str]]:
 def _series(version: str) -> list[str]:
     """Major and minor version; versions that share them read each other's files."""
     return str(version).split(".")[:2]
-
-
-def _finite(values: Any) -> list[float | None]:
-    return [float(x) if np.isfinite(x) else None for x in values]

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.gap.gap import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report import diagnosis_text
-from hybrid.report.diagnosis_data import evidence_matrix, joint_curves, rms_table
+from hybrid.report.diagnosis_data import evidence_matrix, joint_curves
 from hybrid.report.diagnosis_text import effect_name
 from hybrid.report.excitation import Postures
 from hybrid.report.output import provenance, render_template, write_results
@@ -79,19 +80,35 @@ def render_diagnosis(result: Result) -> str:
 
 
 def _gap_rows(result: Result) -> tuple[list[dict[str, Any]], float]:
-    """Gaps of each joint with widths of their bars, and the largest relative gap."""
-    rows: list[dict[str, Any]] = [*map(dict, rms_table(result))]
+    """RMS gap of each joint on held-out samples, with the widths of its bars.
+
+    Bars are relative to each joint's torque, so that small joints are visible. The
+    second result is the largest relative gap.
+    """
+    gap, scored, found = result.gap, result.scored, result.diagnosis
+    rows: list[dict[str, Any]] = [
+        {
+            "today": _rms(gap.left[seen, i]),
+            "after": _rms(scored.after[i]),
+            "noise": found.noise_floor[i],
+            "torque": _rms(gap.measured[seen, i]),
+        }
+        for i, seen in enumerate(scored.evidence.rows)
+    ]
     shares = [max(x["today"], x["after"]) / x["torque"] for x in rows if x["torque"]]
     longest = max(shares, default=1.0) or 1.0
     for i, row in enumerate(rows):
-        # Bars are relative to each joint's torque, so that small joints are visible.
         whole = longest * row["torque"] or np.inf
         width = {k: 100 * min(1.0, x / whole) for k, x in row.items()}
-        row["width"], row["joint"] = width, result.diagnosis.joints[i]
-        row["unit"] = units(result.gap.robot, [i])[1]
         above = max(0.0, width["today"] ** 2 - width["noise"] ** 2)
-        row["above"] = np.sqrt(above) / 100
+        row |= {"width": width, "above": np.sqrt(above) / 100}
+        row |= {"joint": found.joints[i], "unit": units(gap.robot, [i])[1]}
     return rows, longest
+
+
+def _rms(x: Array) -> float:
+    """Root of the mean square; 0 at a joint that does not move."""
+    return float(np.sqrt(np.mean(x**2))) if len(x) else 0.0
 
 
 def _arm(result: Result) -> dict[str, Any]:

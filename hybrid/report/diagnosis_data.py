@@ -15,7 +15,6 @@ from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import units
-from hybrid.effects import Effect
 from hybrid.report.style import extremes
 
 MOST_POINTS = 1500  # of a curve or a scatter plot
@@ -140,28 +139,6 @@ def _short(x: Array) -> list[float | None]:
     return [float(f"{value:.{_DIGITS}g}") for value in x]
 
 
-def rms_table(result: Result) -> list[dict[str, float]]:
-    """RMS gap of each joint ``today`` and ``after``, on held-out samples, [N·m].
-
-    With the ``noise`` and the RMS of measured ``torque``; 0 where the joint does not
-    move.
-    """
-    gap, scored = result.gap, result.scored
-    return [
-        {
-            "today": _rms(gap.left[rows, i]),
-            "after": _rms(scored.after[i]),
-            "noise": result.diagnosis.noise_floor[i],
-            "torque": _rms(gap.measured[rows, i]),
-        }
-        for i, rows in enumerate(scored.evidence.rows)
-    ]
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x**2))) if len(x) else 0.0
-
-
 @dataclass(frozen=True)
 class Cell:
     """Evidence of one effect at one joint, or at all, as decimal logarithm of odds.
@@ -202,7 +179,8 @@ def evidence_matrix(result: Result) -> Matrix:
     scopes = {t.place: t.candidate.effect for t in (*search.pool.tried, *search.terms)}
     cells: dict[str, dict[int, Cell]] = {}
     for place, effect in scopes.items():
-        column, width = _columns(effect, len(joints))
+        whole = effect.scope == "arm"
+        column, width = (0, len(joints)) if whole else (effect.at_joints[0], 1)
         cell = Cell(
             width,
             " + ".join(joints[column : column + width]),
@@ -233,13 +211,6 @@ def _delay_cell(result: Result, j: int) -> Cell:
         for left in (scored.before[j], scored.after[j])
     )
     return Cell(1, result.gap.robot.joints[j], alone, beside, named=True)
-
-
-def _columns(effect: Effect, size: int) -> tuple[int, int]:
-    """First joint and number of joints of an effect's cell."""
-    if effect.scope == "arm":
-        return 0, size
-    return (effect.joints[-1] if effect.id == "link_inertia" else effect.joints[0]), 1
 
 
 def _rank(cell: Cell) -> tuple[bool, float]:

@@ -12,6 +12,7 @@ from hybrid.diagnosis.answer.diagnosis import (
     Value,
     listed,
 )
+from hybrid.report.table import decimals_of
 
 MOST_LINES = 10
 _ABOVE = 1.2  # times the noise: a smaller gap is not mentioned
@@ -250,7 +251,7 @@ def value_cells(value: Value) -> tuple[str, str, str]:
     half = (high - low) / 2
     if not (half > 0 and np.isfinite(half)):
         return number(value.value, 4), "–", value.unit
-    decimals = int(np.clip(1 - np.floor(np.log10(half)), 0, 9))
+    decimals = decimals_of(half, 2)
     mid, low_end, high_end = (
         f"{x:.{decimals}f}".replace("-", "−") for x in (value.value, low, high)
     )

@@ -10,7 +10,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.report.style import BEST, OTHERS, PALE, lines_figure
-from hybrid.report.table import Table, error_table
+from hybrid.report.table import Table, decimals_of, error_table
 from hybrid.signals import Motion, Sampler, motion_from_recording
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def _found(effect: Effect, factor: float) -> list[str]:
 def _quantity(name: str, value: float, unit: str, half: float = 0.0) -> str:
     """``level 2.395 ± 0.037 N·m``: two significant digits of the interval."""
     if half > 0 and np.isfinite(half):
-        decimals = int(np.clip(1 - np.floor(np.log10(half)), 0, 9))
+        decimals = decimals_of(half, 2)
         number = f"{value:.{decimals}f} ± {half:.{decimals}f}"
     else:
         number = f"{value:.4g}"

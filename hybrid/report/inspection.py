@@ -147,8 +147,7 @@ def log_figure(recording: Recording) -> Figure:
         rows["torque\n[N·m]"] = [("torque", recording.tau, GREY, 0.7)]
     elif recording.v is not None:
         rows["speed\n[rad/s]"] = [("speed", recording.v, GREY, 0.7)]
-    ratios = (1.0,) * len(rows)
-    return lines_figure(t, joints, rows, 0.85 * len(rows) + 0.3, ratios)[0]
+    return lines_figure(t, joints, rows, 0.85 * len(rows) + 0.3)[0]
 
 
 def write_inspection(

@@ -156,26 +156,15 @@ def write_page(
         provenance: Versions and inputs, for the foot of the page; see
             :func:`hybrid.report.provenance`.
     """
-    content = render_page(title, sections, lead=lead, provenance=provenance)
+    content = render_template(
+        "page.html", title=title, lead=lead, sections=sections, provenance=provenance
+    )
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(content, encoding="utf-8")
 
 
-def render_page(
-    title: str,
-    sections: Sequence[Section],
-    *,
-    lead: str = "",
-    provenance: Mapping[str, Any] | None = None,
-) -> str:
-    """The page that :func:`write_page` writes."""
-    return render_template(
-        "page.html", title=title, lead=lead, sections=sections, provenance=provenance
-    )
-
-
 def render_template(
-    name: str, *, provenance: Mapping[str, Any] | None = None, **content: Any
+    name: str, *, provenance: Mapping[str, Any] | None, **content: Any
 ) -> str:
     """Render a template; strings are escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined

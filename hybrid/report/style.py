@@ -105,14 +105,14 @@ def lines_figure(
     joints: Sequence[str],
     rows: Mapping[str, Sequence[Curve]],
     height: float,
-    ratios: tuple[float, ...] = (1.0,),
+    ratios: tuple[float, ...] = (),
 ) -> tuple[Figure, list[list[Axes]]]:
     """Draw curves of every joint over time, with a legend of those that have a name.
 
-    ``rows`` are curves by the label of their axes, from top to bottom. See
-    :func:`panels`.
+    ``rows`` are curves by the label of their axes, from top to bottom; without ratios
+    all are as high. See :func:`panels`.
     """
-    figure, cells = panels(joints, height, ratios)
+    figure, cells = panels(joints, height, ratios or (1.0,) * len(rows))
     for j, cell in enumerate(cells):
         for axes, (label, curves) in zip(cell, rows.items(), strict=True):
             for name, x, ink, width in curves:

@@ -120,10 +120,13 @@ def _cells(column: Array) -> list[str]:
     """Numbers with decimals for three digits of the smallest."""
     sizes = np.abs(column[np.isfinite(column) & (column != 0)])
     smallest = float(np.min(sizes, initial=np.inf))
-    decimals = 2
-    if np.isfinite(smallest):
-        decimals = int(np.clip(2 - np.floor(np.log10(smallest)), 0, 4))
+    decimals = decimals_of(smallest, 3, most=4) if np.isfinite(smallest) else 2
     return [f"{x:.{decimals}f}" if np.isfinite(x) else "–" for x in column]
+
+
+def decimals_of(size: float, digits: int, *, most: int = 9) -> int:
+    """Decimals with which a size has some significant digits."""
+    return int(np.clip(digits - 1 - np.floor(np.log10(size)), 0, most))
 
 
 def _change(mean: float, first: float) -> str:

@@ -21,117 +21,6 @@ from hybrid.report import provenance, write_results
 from hybrid.robot import Robot
 from hybrid.robot.library import robot_file
 
-LOGS = (
-    "ROS 2 bags (folder, .mcap, .db3), ROS 1 .bag, LeRobot datasets, .csv(.gz), .tsv, "
-    ".parquet, .npz, .h5, .mat"
-)
-_NOT_SETTINGS = {
-    "verb", "run", "parser", "inputs", "robot", "recordings", "recording", "model",
-    "baseline", "effects_from", "out", "json", "rerun", "seed", "poses",
-    "page", "plan", "scheduler", "workers",
-}  # fmt: skip
-
-
-def add_robot(parser: ArgumentParser, *, required: bool = True, more: str = "") -> None:
-    """Add ``--robot``, ``--joints`` and ``--hold``."""
-    parser.add_argument(
-        "--robot",
-        type=robot_file,
-        required=required,
-        metavar="FILE",
-        help="the arm: URDF, MJCF or xacro, or a name as ur5e of robot_descriptions or "
-        f"example-robot-data{more}",
-    )
-    parser.add_argument(
-        "--joints",
-        type=names,
-        metavar="A,B,C",
-        help="joints of the arm (default: the longest chain in the file)",
-    )
-    parser.add_argument(
-        "--hold",
-        type=positions,
-        default={},
-        metavar="A=X,B=Y",
-        help="positions of joints off the arm, in rad or m (default: as in the file)",
-    )
-
-
-def add_recordings(parser: ArgumentParser, *, required: bool = True) -> None:
-    """Add ``--recordings`` and ``--map``."""
-    parser.add_argument(
-        "--recordings",
-        nargs="+",
-        required=required,
-        metavar="PATH",
-        help=f"files, folders or globs of {LOGS}",
-    )
-    add_map(parser)
-
-
-def add_recording(parser: ArgumentParser) -> None:
-    """Add ``--recording``, for verbs that take one, and ``--map``."""
-    parser.add_argument(
-        "--recording", type=Path, required=True, metavar="PATH", help=LOGS
-    )
-    add_map(parser)
-
-
-def add_number(
-    parser: ArgumentParser,
-    name: str,
-    metavar: str,
-    words: str,
-    default: float | None = None,
-) -> None:
-    """Add an option that takes a number above zero."""
-    parser.add_argument(
-        name, type=positive, default=default, metavar=metavar, help=words
-    )
-
-
-def add_cutoff(parser: ArgumentParser) -> None:
-    """Add ``--cutoff``."""
-    words = "cut-off of columns and torque (default: from the spectrum)"
-    add_number(parser, "--cutoff", "HZ", words)
-
-
-def add_map(parser: ArgumentParser) -> None:
-    """Add ``--map``."""
-    parser.add_argument(
-        "--map",
-        metavar="FILE.yaml",
-        help="which column is which channel of which joint in which unit, or the name "
-        "of a preset: ur_rtde, ur_driver, libfranka, libfranka_log, lerobot, "
-        "joint_state, plotjuggler (default: what labels and formats say)",
-    )
-
-
-def read_logs(
-    args: Namespace,
-    screen: Screen,
-    joints: tuple[str, ...] | None,
-    *,
-    torque: bool = True,
-) -> list[Recording]:
-    """Read the logs of ``--recordings`` or ``--recording``.
-
-    ``joints`` are those of the robot, base to tip, if known; with ``torque`` a log
-    without it is refused.
-    """
-    one = getattr(args, "recording", None)
-    with screen.working("reading recordings") as tell:
-        options: dict[str, Any] = {"joints": joints, "map": args.map, "torque": torque}
-        found = (
-            [read(one, **options, progress=tell)]
-            if one
-            else read_all(args.recordings, **options, progress=tell)
-        )
-    args.inputs += dict.fromkeys(Path(log.source) for log in found)
-    if args.map and Path(args.map).is_file():
-        args.inputs.append(Path(args.map))
-    return found
-
 
 def names(text: str) -> tuple[str, ...]:
     """Names between commas."""
@@ -180,6 +69,111 @@ def whole(text: str) -> int:
     return int(text)
 
 
+# Provenance has what is stated to a verb, less what it reads, writes or runs on.
+_NOT_SETTINGS = {
+    "verb", "run", "parser", "inputs", "how", "robot", "recordings", "recording",
+    "model", "baseline", "effects_from", "out", "json", "rerun", "seed", "poses",
+    "page", "plan", "scheduler", "workers",
+}  # fmt: skip
+_LOGS = (
+    "ROS 2 bags (folder, .mcap, .db3), ROS 1 .bag, LeRobot datasets, .csv(.gz), .tsv, "
+    ".parquet, .npz, .h5, .mat"
+)
+_SHARED: dict[str, dict[str, Any]] = {
+    "--robot": {
+        "type": robot_file,
+        "required": True,
+        "metavar": "FILE",
+        "help": "the arm: URDF, MJCF or xacro, or a name as ur5e of robot_descriptions "
+        "or example-robot-data",
+    },
+    "--joints": {
+        "type": names,
+        "metavar": "A,B,C",
+        "help": "joints of the arm (default: the longest chain in the file)",
+    },
+    "--hold": {
+        "type": positions,
+        "default": {},
+        "metavar": "A=X,B=Y",
+        "help": "positions of joints off the arm, in rad or m (default: the file's)",
+    },
+    "--recordings": {
+        "nargs": "+",
+        "required": True,
+        "metavar": "PATH",
+        "help": f"files, folders or globs of {_LOGS}",
+    },
+    "--recording": {"type": Path, "required": True, "metavar": "PATH", "help": _LOGS},
+    "--map": {
+        "metavar": "FILE.yaml",
+        "help": "which column is which channel of which joint in which unit, or the "
+        "name of a preset: ur_rtde, ur_driver, libfranka, libfranka_log, lerobot, "
+        "joint_state, plotjuggler (default: what labels and formats say)",
+    },
+    "--cutoff": {
+        "type": positive,
+        "metavar": "HZ",
+        "help": "cut-off of columns and torque (default: from the spectrum)",
+    },
+    "--model": {"type": Path, "required": True, "metavar": "MODEL.json"},
+    "--out": {"type": Path, "required": True, "metavar": "DIR"},
+    "--seed": {"type": whole, "default": 0, "metavar": "N"},
+}
+
+
+def add_robot(parser: ArgumentParser, *, required: bool = True, more: str = "") -> None:
+    """Add ``--robot``, ``--joints`` and ``--hold``."""
+    words = f"{_SHARED['--robot']['help']}{more}"
+    add(parser, "--robot", required=required, help=words)
+    add(parser, "--joints", "--hold")
+
+
+def add(parser: ArgumentParser, *names: str, **changes: Any) -> None:
+    """Add arguments that several verbs share, with changes of what they state."""
+    for name in names:
+        parser.add_argument(name, **_SHARED[name] | changes)
+
+
+def add_number(
+    parser: ArgumentParser,
+    name: str,
+    metavar: str,
+    words: str,
+    default: float | None = None,
+) -> None:
+    """Add an option that takes a number above zero."""
+    parser.add_argument(
+        name, type=positive, default=default, metavar=metavar, help=words
+    )
+
+
+def read_logs(
+    args: Namespace,
+    screen: Screen,
+    joints: tuple[str, ...] | None,
+    *,
+    torque: bool = True,
+) -> list[Recording]:
+    """Read the logs of ``--recordings`` or ``--recording``.
+
+    ``joints`` are those of the robot, base to tip, if known; with ``torque`` a log
+    without it is refused.
+    """
+    one = getattr(args, "recording", None)
+    with screen.working("reading recordings") as tell:
+        options: dict[str, Any] = {"joints": joints, "map": args.map, "torque": torque}
+        found = (
+            [read(one, **options, progress=tell)]
+            if one
+            else read_all(args.recordings, **options, progress=tell)
+        )
+    args.inputs += dict.fromkeys(Path(log.source) for log in found)
+    if args.map and Path(args.map).is_file():
+        args.inputs.append(Path(args.map))
+    return found
+
+
 def load_robot(args: Namespace) -> Robot:
     """The arm of ``--robot``, ``--joints`` and ``--hold``."""
     args.inputs.append(args.robot)
@@ -213,13 +207,8 @@ def load_effects(text: str, robot: Robot) -> list[Effect]:
     return effects_from_text(text, robot.joints, joint_scales(robot))
 
 
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
-    """Refuse outputs that cannot be written, before any work is done.
-
-    Raises:
-        HybridError: An output is a folder or a device, lies where nothing can be
-            written, is named twice, or is an input.
-    """
+def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
+    """Refuse outputs that cannot be written, before any work is done."""
     taken = {path.resolve(): "an input" for path in inputs}
     for path in outputs:
         if path is None:
@@ -239,19 +228,20 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -
         taken[path.resolve()] = "another output"
 
 
-def begin(args: Namespace, outputs: Iterable[Path | None] = ()) -> dict[str, Any]:
-    """Check the outputs, and collect versions, command, settings and input hashes.
+def begin(args: Namespace, *outputs: Path | None) -> None:
+    """Check the outputs; let ``args.how`` be versions, command, settings and inputs.
 
     The inputs are the files that functions of this module loaded.
 
     Raises:
-        HybridError: An output cannot be written, see :func:`check_outputs`.
+        HybridError: An output is a folder or a device, lies where nothing can be
+            written, is named twice, or is an input.
     """
-    check_outputs([*outputs, args.json], args.inputs)
+    _check_outputs([*outputs, args.json], args.inputs)
     given = vars(args)
     seed = {"seed": given["seed"]} if "seed" in given else {}
     files = [*args.effects_from, *args.inputs]
-    return provenance(
+    args.how = provenance(
         command=args.verb,
         settings={k: x for k, x in given.items() if k not in _NOT_SETTINGS},
         **seed,
@@ -270,9 +260,7 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def write_record(
-    args: Namespace, how: Mapping[str, Any], content: Mapping[str, Any]
-) -> None:
+def write_record(args: Namespace, content: Mapping[str, Any]) -> None:
     """Write results with their provenance to ``--json``, if it was given."""
     if args.json:
-        write_results(args.json, {**content, "provenance": how})
+        write_results(args.json, {**content, "provenance": args.how})

@@ -34,7 +34,9 @@ from hybrid.robot.edit.change import Actuator, Edit
 from hybrid.signals import Motion
 
 # Fields of a joint in each kind of file, and those that approximate friction.
-JOINT_FIELDS = {"mjcf": FIELDS, "urdf": ("armature", "damping", "frictionloss")}
+JOINT_FIELDS = {
+    "mjcf": tuple(FIELDS), "urdf": ("armature", "damping", "frictionloss"),
+}  # fmt: skip
 _CURVE = {
     "mjcf": (
         "frictionloss", "damping", "quadratic", "cubic", "preload", "knee", "fall",

@@ -35,7 +35,6 @@ class Simulator:
         text: The file.
         original: The file before.
         robot: The arm in the file.
-        friction: Approximated friction by joint.
         rest: Effects that the file lacks. Together with the file they are the arm that
             was asked for.
         notes: What the file approximates or lacks, in words.
@@ -44,7 +43,6 @@ class Simulator:
     text: bytes
     original: bytes
     robot: Robot
-    friction: tuple[FittedFriction, ...]
     rest: tuple[Effect, ...]
     notes: tuple[str, ...]
 
@@ -116,9 +114,9 @@ def build_simulator(
     if origin.own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
-    lacks += [*origin.notes]
+    lacks += origin.notes
     lacks += [_friction_note(robot, x) for x in planned.friction]
-    lacks += [_effect_note(robot, effect) for effect in planned.missing] + list(notes)
+    lacks += [*(effect_note(robot, effect) for effect in planned.missing), *notes]
     if lacks:
         lines = [f"Not in this file, or only nearly: {xml_comment(x)}." for x in lacks]
         comment = "\n     ".join(lines)
@@ -127,7 +125,6 @@ def build_simulator(
         text=document.edited(),
         original=document.content,
         robot=found,
-        friction=planned.friction,
         rest=(*planned.missing, *planned.corrections),
         notes=tuple(lacks),
     )
@@ -161,7 +158,8 @@ def _friction_note(robot: Robot, x: FittedFriction) -> str:
     )
 
 
-def _effect_note(robot: Robot, effect: Effect) -> str:
+def effect_note(robot: Robot, effect: Effect) -> str:
+    """An effect with its joints and gains, in words."""
     joints = ", ".join(robot.joints[j] for j in effect.joints)
     gains = [f"{g.name} {effect.values[g.name]:.4g} {g.unit}" for g in effect.gains
              if effect.values[g.name]]  # fmt: skip

@@ -21,12 +21,15 @@ from hybrid.exports.simulator.model import (
 )
 from hybrid.exports.simulator.plan import drive_changes
 from hybrid.exports.simulator.ranges import Ranges, ranges
+from hybrid.exports.simulator.simulator import effect_note
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
 
 _DRAWS = 400  # from the posterior
+# Changes of an actuator that Isaac Lab has a place for.
+_ACTUATORS = {"latency", "limit", "stiffness", "damping"}
 _STEP = 0.005  # s, if the step of the simulation is not known
 _ACTUATOR = '''"""Actuators of {name} for Isaac Lab, with physics every {step!r} s."""
 
@@ -139,15 +142,11 @@ def isaac_lab(
     fields: dict[str, Any] = {
         name: _by_joint(robot.joints, x) for name, x in table.items()
     } | {"min_delay": math.floor(delay), "max_delay": math.ceil(delay)}
-    expressed = {"latency", "limit", "stiffness", "damping"}
-    notes = tuple(
-        note
-        for note in edited.notes
-        if not any(
-            note.startswith(f"{e.id} of") for e in edited.rest
-            if e.actuator and e.actuator.keys() <= expressed
-        )
-    )  # fmt: skip
+    expressed = {
+        effect_note(robot, e) for e in edited.rest
+        if e.actuator and e.actuator.keys() <= _ACTUATORS
+    }  # fmt: skip
+    notes = tuple(note for note in edited.notes if note not in expressed)
     text = _ACTUATOR.format(
         name=_plain(robot.name),
         step=step,
