@@ -11,6 +11,7 @@ from pendulum import pendulum, swings
 
 from hybrid.calibration.calibrate import Calibration, calibrate
 from hybrid.calibration.measurements import Measurements
+from hybrid.calibration.steps import FixedStep, free_frame
 from hybrid.errors import HybridWarning, RobotError
 from hybrid.identification import validate
 from hybrid.identification.preparation import log_hash
@@ -101,10 +102,18 @@ def test_of_a_calibration(monkeypatch, tmp_path):
 
 def test_of_stations_only_those_that_were_found_have_moved():
     nominal = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    places = [FixedStep(np.eye(3), x) for x in nominal]
+    stations = [
+        (place, *free_frame(f"station_{k}", turns=False))
+        for k, place in enumerate(places, 1)
+    ]
     own = SimpleNamespace(
-        setup=SimpleNamespace(model=SimpleNamespace(stations=nominal)),
+        setup=SimpleNamespace(
+            model=SimpleNamespace(stations=stations), robot=SimpleNamespace(size=2)
+        ),
         solution=SimpleNamespace(values=lambda: {"station_2_y": 0.5}),
     )
+    own._frame = lambda steps: Calibration._frame(own, steps)
     expected = nominal + [[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]]
     np.testing.assert_array_equal(Calibration.stations.fget(own), expected)
 

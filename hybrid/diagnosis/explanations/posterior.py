@@ -251,9 +251,9 @@ class Posterior:
         The smallest fall of both losses counts, and of the second one with the noise of
         each second as the explanation leaves it: what is left of an unknown event may
         be lowered by chance. All other causes are refitted without it, and the simpler
-        law that it becomes may take its place. Nor may more be left at its joints than
-        by the simulator as it stands. Of an event that is not on the test samples they
-        say nothing: infinite.
+        law that it becomes may take its place. Nor may its joints be more probable with
+        the simulator as it stands, at the odds of a cause. Of an event that is not on
+        the test samples they say nothing: infinite.
         """
         if not causes:
             return {}
@@ -276,7 +276,7 @@ class Posterior:
             )
             here = fall[[*joints]].sum() * self._to_training / 2
             least = min(min(one, two, two - less) for one, two, less in falls)
-            gains[c] = float(min(least, here))
+            gains[c] = float(min(least, here + self.prior.cause))
         return gains
 
     def _fall_by_chance(self, rest: Sequence[Cause], after: Array) -> float:

@@ -2,8 +2,7 @@
 
 Causes are added, exchanged and removed as long as the :class:`.Posterior` rises. Each
 step must lower the cross-validated loss as well, and each cause of the result the loss
-on test samples. Another cause takes its place if it lowers that loss further, and is
-more probable with training and test samples together.
+on test samples.
 """
 
 from collections.abc import Sequence
@@ -182,8 +181,7 @@ class Search(Moves):
             self._improve()
             gains = self.unseen_gain(self.causes)
             bad = [c for c in self._doubtful() if gains[c] <= 0]
-            changed = bad or self._reset_file_error() or self.update_noise(self.causes)
-            if not (changed or self._exchange_for_all_samples()):
+            if not (bad or self._reset_file_error() or self.update_noise(self.causes)):
                 break
             self.causes = [c for c in self.causes if c not in bad]
             bad.sort(key=lambda c: gains[c])
@@ -192,25 +190,6 @@ class Search(Moves):
             loss, rest = self.unseen_loss(self.causes), self.causes
             alone = {c for c in bad[1:] if np.all(self.unseen_loss([*rest, c]) < loss)}
             self.refused |= {c.place for c in bad if c not in alone}
-
-    def _exchange_for_all_samples(self) -> bool:
-        """Exchange a cause for one that is more probable with the test samples, too.
-
-        Returns:
-            Whether there is one; the old one is not tried again then.
-        """
-        now, loss = self.score(self.causes), self.unseen_loss(self.causes)
-        for cause in self._doubtful():
-            rest = [c for c in self.causes if c is not cause]
-            for found in self.proposals(self.causes, own=cause):
-                causes = [*rest, found.cause]
-                fall = np.min(loss - self.unseen_loss(causes)) / self._to_training
-                more = self.score(causes) - now + fall
-                if found.place != cause.place and min(fall, more) > LEAST_GAIN:
-                    self.causes = causes
-                    self.refused |= {cause.place}
-                    return True
-        return False
 
     def _improve(self) -> None:
         for _ in range(_ROUNDS):
