@@ -44,8 +44,12 @@ def regressor(
 ) -> Array:
     """Torque per unit of all inertial parameters, or of some.
 
-    The motion is that of :func:`inverse_dynamics`. ``which`` are the c wanted columns
-    out of the 10n.
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+        v: Speeds, shape (N, n), [rad/s].
+        a: Accelerations, shape (N, n), [rad/s²].
+        which: Wanted columns out of the 10n, length c; all by default.
 
     Returns:
         Y, shape (N, n, c), link by link in the order of ``INERTIAL_NAMES``, or in that
@@ -68,8 +72,16 @@ def regressor_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of ``sum(weight * regressor(chain, q, v, a))`` by the motion.
 
-    The weights have shape (N, n, 10n), those of joints beyond a link have no effect,
-    and the derivatives by q, v and a have shape (N, n) each.
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+        v: Speeds, shape (N, n), [rad/s].
+        a: Accelerations, shape (N, n), [rad/s²].
+        weight: Weight of each entry of the regressor, shape (N, n, 10n). Entries of
+            joints beyond a link have no effect.
+
+    Returns:
+        Derivatives by q, v and a, each of shape (N, n).
     """
     law, entries = _gradient_law(_Arm(chain, gravity=True))
     weights = weight.reshape(len(q), 10 * chain.size**2)[:, entries]
@@ -83,8 +95,16 @@ def torque_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of one joint's rigid-body torque in each sample by the motion.
 
-    The joint of each sample is given by its index, shape (N,). The derivatives by q, v
-    and a have shape (N, n) each; see :func:`inverse_dynamics`.
+    Args:
+        chain: The arm.
+        q: Positions, shape (N, n), [rad].
+        v: Speeds, shape (N, n), [rad/s].
+        a: Accelerations, shape (N, n), [rad/s²].
+        inertial: Link parameters, shape (n, 10).
+        joint: Index of the joint in each sample, shape (N,).
+
+    Returns:
+        Derivatives by q, v and a, each of shape (N, n).
     """
     weight = np.zeros((*q.shape, inertial.size))
     weight[np.arange(len(q)), joint] = inertial.ravel()

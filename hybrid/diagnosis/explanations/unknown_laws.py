@@ -30,6 +30,7 @@ class UnknownLaws:
     def __init__(self, evidence: Evidence, rigid: Index, prior: Prior) -> None:
         self._evidence, self._prior, self._gap = evidence, prior, evidence.gap
         self._waves: dict[Place, Columns] = {}
+        self._wide: dict[tuple[Place, float], Cause] = {}
         left = enumerate(evidence.residuals(rigid))
         self.all = [law for j, x in left if len(x) for law in self._of(j, x)]
 
@@ -71,14 +72,18 @@ class UnknownLaws:
         return dict(self._without_waves(joint))[law.place[0]]
 
     def widened(self, base: Index, law: Cause) -> Cause:
-        """A law with the most probable width of its prior."""
+        """A law with the most probable width of its prior; it is made once."""
         columns, std = self.columns(law), self._evidence.precision[law.index] ** -0.5
         none = np.full(len(std), -np.inf)
         factor = self._evidence.trial(base, columns, std, none).prior_factor
         if factor == 1.0:
             return law
-        (index,) = self._evidence.add([columns], [factor * std])
-        return replace(law, index=index, cost=law.cost + float(np.log(factor)))
+        key = law.place, factor
+        if key not in self._wide:
+            (index,) = self._evidence.add([columns], [factor * std])
+            cost = law.cost + float(np.log(factor))
+            self._wide[key] = replace(law, index=index, cost=cost)
+        return self._wide[key]
 
     def open(self, causes: Collection[Cause]) -> list[Cause]:
         """Laws that may be added to some causes: new ones, and few at each joint."""
