@@ -4,7 +4,6 @@ Source: Cameron and Miller 2015, doi 10.3368/jhr.50.2.317 (cluster-robust infere
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,10 +60,18 @@ class Estimate(WeightedSolution):
 
 
 def solve(
-    products: CrossProducts, estimator: Estimator = "irls", **options: Any
+    products: CrossProducts,
+    estimator: Estimator = "irls",
+    *,
+    bounded: bool = False,
+    robust: bool = False,
+    prior: Prior | None = None,
 ) -> Estimate:
-    """Solve by :func:`solve_weighted`, with its options, and add the uncertainty."""
-    return with_uncertainty(products, solve_weighted(products, estimator, **options))
+    """Solve as :func:`solve_weighted` does, which see, and add the uncertainty."""
+    found = solve_weighted(
+        products, estimator, bounded=bounded, robust=robust, prior=prior
+    )
+    return with_uncertainty(products, found)
 
 
 def with_uncertainty(
