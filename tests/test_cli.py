@@ -205,7 +205,7 @@ class TestChain:
         run(f"validate --model {chain.model} --recordings {chain.log}")
         out = capsys.readouterr().out
         assert "noise floor" in out
-        said = r"([\d.]+)% less mean RMS than W?LS, (\S+) instead of (\S+) N·m"
+        said = r"([\d.]+)% less mean RMS than \w+, (\S+) instead of (\S+) N·m"
         less, error, plain = map(float, re.search(said, out).groups())
         assert less == pytest.approx(100 * (1 - error / plain), abs=0.1)
         assert not any(line.endswith(" ") for line in out.splitlines())

@@ -27,7 +27,8 @@ def rows():
 
 def test_each_stage_lowers_the_held_out_error(rows):
     means = [row.mean for row in rows.values()]
-    assert list(rows)[:5] == ["LS", "WLS", "IRLS", "+ friction", "+ ripple"]
+    names = ["LS", "WLS", "IRLS", "rigid", "+ friction", "+ ripple"]
+    assert list(rows)[:6] == names
     assert rows["IRLS"].mean < rows["LS"].mean
     assert means[2:] == sorted(means[2:], reverse=True)
     assert rows["+ friction"].mean < 0.9 * rows["IRLS"].mean

@@ -39,10 +39,11 @@ def run(args: Namespace, screen: Screen) -> None:
         validation = validate(model, recordings, robot=robot)
     options.write_record(args, validation.as_dict())
     screen.show(table_from_validation(validation))
-    plain, last = validation.reference, validation.rows[-1]
+    bar, last = validation.reference, validation.rows[-1]
     change = validation.reduction
     screen.say(
         f"{last.name}: {abs(change):.1%} {'more' if change < 0 else 'less'} mean RMS "
-        f"than {plain.name}, "
-        f"{last.mean:.4g} instead of {plain.mean:.4g} N·m"
+        f"than {bar.name}, {last.mean:.4g} instead of {bar.mean:.4g} N·m"
+        if last is not bar
+        else f"{last.name}: {last.mean:.4g} N·m mean RMS, the least of all models"
     )

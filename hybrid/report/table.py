@@ -11,6 +11,7 @@ from rich.text import Text
 
 from hybrid.arrays import Array
 from hybrid.identification import Validation
+from hybrid.identification.validation import fair_bar
 from hybrid.names import markdown
 
 
@@ -59,7 +60,7 @@ def error_table(
     *,
     noise_floor: Array | None = None,
 ) -> Table:
-    """Errors of models: at each joint, their mean, and its change from the first model.
+    """Errors of models: at each joint, their mean, and its change from the fair bar.
 
     Args:
         rms: RMS torque error of each model by name, shape (n,), [N·m].
@@ -70,13 +71,15 @@ def error_table(
     rows = dict(rms) if noise_floor is None else {**rms, "noise floor": noise_floor}
     names = list(rows)
     values = np.array([[*x, np.nanmean(x)] for x in rows.values()])  # (rows, n + 1)
-    first = values[0, -1]
+    bar = fair_bar(rms)
+    least = values[names.index(bar), -1]
     columns = [_cells(column) for column in values.T]
-    change = ["–", *(_change(mean, first) for mean in values[1:, -1])]
+    change = [_change(mean, least) for mean in values[:, -1]]
+    change[names.index(bar)] = "–"
     if noise_floor is not None:
         change[-1] = ""  # it is no model
     return Table(
-        header=("", *joints, "mean", f"vs {names[0]}"),
+        header=("", *joints, "mean", f"vs {bar}"),
         rows=tuple(zip(names, *columns, change, strict=True)),
         caption=caption,
     )
