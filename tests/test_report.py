@@ -35,6 +35,7 @@ class Row:
 class Validation:
     robot: str = "two-link arm"
     joints: tuple[str, ...] = JOINTS
+    units: tuple[str, ...] = ("N·m",) * 3
     rows: tuple[Row, ...] = ()
     noise_floor: np.ndarray | None = None
     sources: tuple[str, ...] = ("a.csv",)

@@ -33,7 +33,7 @@ from hybrid.diagnosis.gap.coverage import (
     too_little_motion,
     wrong_simulator,
 )
-from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import split
 from hybrid.effects.delay import Delay
 from hybrid.identification.preparation import checked_logs
@@ -324,6 +324,6 @@ def _diagnosis(
         verdict=verdict,
         unexplained=unexplained,
         background=search.file_error,
-        units=tuple(units(gap.robot, [j])[1] for j in range(gap.robot.size)),
+        units=gap.robot.chain.units("N·m"),
         not_excited=not_excited(gap),
     )

@@ -22,7 +22,6 @@ from hybrid.regression.data import check_torque, fastest
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 
-
 _LINEAR = ("LS", "WLS", "IRLS", "rigid")
 
 
@@ -67,6 +66,7 @@ class Validation:
     Attributes:
         robot: Name of the arm.
         joints: Its joints.
+        units: Units of their torques: N·m, or N at a joint that slides.
         rows: Models, from the simplest to the complete one.
         noise_floor: RMS of the noise of the torque, shape (n,), [N·m].
         sources: Names of the recordings.
@@ -76,6 +76,7 @@ class Validation:
 
     robot: str
     joints: tuple[str, ...]
+    units: tuple[str, ...]
     rows: tuple[ValidationRow, ...]
     noise_floor: Array | None
     sources: tuple[str, ...]
@@ -84,7 +85,7 @@ class Validation:
 
     @property
     def reference(self) -> ValidationRow:
-        """The best fit of rigid body and linear friction alone, see :func:`fair_bar`."""
+        """The best fit of linear terms alone, see :func:`fair_bar`."""
         rows = {row.name: row for row in self.rows}
         return rows[fair_bar({name: row.rms for name, row in rows.items()})]
 
@@ -107,6 +108,7 @@ class Validation:
         ]
         return vars(self) | {
             "joints": list(self.joints),
+            "units": list(self.units),
             "rows": rows,
             "reduction": self.reduction,
             "noise_floor": None if floor is None else floor.tolist(),
@@ -172,6 +174,7 @@ def validate(
     return Validation(
         robot=model.robot.name,
         joints=model.robot.joints,
+        units=model.robot.chain.units("N·m"),
         rows=tuple(rows),
         noise_floor=noise_floor(left, model.cutoff),
         sources=tuple(m.source for m in motions),

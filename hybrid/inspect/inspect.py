@@ -58,7 +58,7 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
     joints: tuple[JointCoverage, ...] = ()
     excitation = None
     if state is not None:
-        joints = coverage_of(longest, state)
+        joints = coverage_of(longest, state, robot and robot.chain)
         if robot is not None and recording.has_torque:
             excitation = excitation_of(robot.chain, state)
     return Inspection(recording, clock_of(recording), joints, excitation, doubts)

@@ -189,7 +189,10 @@ class OnlineIdentifier:
             where = "+".join(self.robot.joints[j] for j in effect.joints)
             where = "arm" if effect.scope == "arm" else where
             names += [f"{effect.id}.{s.name}[{where}]" for s in effect.shapes]
-            units += [s.unit for s in effect.shapes]
+            units += [
+                self.robot.chain.unit_at(effect.unit_joints, s.unit)
+                for s in effect.shapes
+            ]
         values = (self._estimate.filter.mean, *self._estimate.bounds, self.std)
         value, lower, upper, std = (x.tolist() for x in values)
         return tuple(map(Parameter, names, value, lower, upper, units, std))

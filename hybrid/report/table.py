@@ -47,7 +47,8 @@ def table_from_validation(validation: Validation) -> Table:
     return error_table(
         {row.name: row.rms for row in validation.rows},
         validation.joints,
-        f"RMS torque error on {validation.robot}, N·m, "
+        validation.units,
+        f"RMS torque error on {validation.robot}, "
         f"{validation.samples:,} samples over {validation.seconds:.0f} s",
         noise_floor=validation.noise_floor,
     )
@@ -56,6 +57,7 @@ def table_from_validation(validation: Validation) -> Table:
 def error_table(
     rms: Mapping[str, Array],
     joints: Sequence[str],
+    units: Sequence[str],
     caption: str,
     *,
     noise_floor: Array | None = None,
@@ -65,7 +67,8 @@ def error_table(
     Args:
         rms: RMS torque error of each model by name, shape (n,), [N·m].
         joints: Joint names, length n.
-        caption: Meaning and unit of the numbers.
+        units: Units of their torques, length n.
+        caption: Meaning of the numbers.
         noise_floor: RMS noise, which no model removes, shape (n,), [N·m].
     """
     rows = dict(rms) if noise_floor is None else {**rms, "noise floor": noise_floor}
@@ -78,11 +81,19 @@ def error_table(
     change[names.index(bar)] = "–"
     if noise_floor is not None:
         change[-1] = ""  # it is no model
+    unit = shared_unit(units)
+    pairs = zip(joints, units, strict=True)
+    titles = (joint if own == unit else f"{joint}, {own}" for joint, own in pairs)
     return Table(
-        header=("", *joints, "mean", f"vs {bar}"),
+        header=("", *titles, "mean", f"vs {bar}"),
         rows=tuple(zip(names, *columns, change, strict=True)),
-        caption=caption,
+        caption=f"{caption}, {unit}",
     )
+
+
+def shared_unit(units: Sequence[str]) -> str:
+    """Unit of the mean over joints: that of revolute ones, unless all slide."""
+    return units[0] if len(set(units)) == 1 else "N·m"
 
 
 def terminal_table(table: Table) -> RichTable:

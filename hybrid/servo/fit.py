@@ -205,7 +205,7 @@ def _findings(
             effect=quantity.effect,
             joint=robot.joints[j],
             quantity=quantity.name,
-            unit=quantity.unit,
+            unit=robot.chain.unit_at([] if quantity.shared else [j], quantity.unit),
             file=float(prior.values[k, j]),
             value=float(drives[0].values[k, j]),
             interval=(low, high),
