@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hybrid.arguments import typed
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
@@ -65,6 +66,7 @@ _DOUBTFUL = (
 _OTHER_JOINT = "{} at {} may as well be {} at {}: these motions cannot tell them apart"
 
 
+@typed
 def diagnose(
     robot: Robot | DynamicModel,
     recordings: Sequence[Recording | Motion],

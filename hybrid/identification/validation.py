@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.arguments import MODEL, RECORDING, check_argument
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError, warn
 from hybrid.identification.preparation import (
@@ -116,6 +116,7 @@ class Validation:
         }
 
 
+@typed
 def validate(
     model: DynamicModel,
     recordings: Sequence[Recording | Motion],
@@ -142,7 +143,6 @@ def validate(
     Warns:
         HybridWarning: The model was identified from a recording.
     """
-    check_argument(model, DynamicModel, MODEL)
     if robot is not None:
         check_same_arm(model, robot)
     logs = checked_logs(model.robot, recordings)
@@ -207,6 +207,7 @@ def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
     return np.asarray(np.sqrt(np.mean(power, axis=0)))
 
 
+@typed
 def predict(model: DynamicModel, recording: Recording) -> Array:
     """Torque that a model predicts along a recording, shape (N, n), [N·m].
 
@@ -221,8 +222,6 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
         RecordingError: The recording does not fit the arm, or has no torque although
             an effect of the model depends on it.
     """
-    check_argument(model, DynamicModel, MODEL)
-    check_argument(recording, Recording, RECORDING)
     logs = checked_logs(model.robot, [recording])
     motions, _ = motions_from_logs(logs, model.cutoff)
     tau = np.concatenate([model.predict(motion) for motion in motions])

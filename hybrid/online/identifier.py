@@ -17,7 +17,7 @@ from itertools import islice
 
 import numpy as np
 
-from hybrid.arguments import MODEL, check_argument
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
@@ -76,6 +76,7 @@ class OnlineIdentifier:
         IdentificationError: An effect cannot be tracked, or an option is out of range.
     """
 
+    @typed
     def __init__(
         self,
         robot: Robot,
@@ -131,11 +132,11 @@ class OnlineIdentifier:
         self.changes: list[Change] = []
 
     @classmethod
+    @typed
     def from_model(
         cls, model: DynamicModel, *, rate: float, prior: float = 0.05
     ) -> OnlineIdentifier:
         """Start from an identified model; its learned remainder is left out."""
-        check_argument(model, DynamicModel, MODEL)
         inertial = model.base.standard()[: 10 * model.robot.size]
         return cls(
             model.robot,
