@@ -32,7 +32,7 @@ from hybrid.diagnosis.gap.measure import (
 )
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
-from hybrid.errors import RecordingError
+from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals.filters import butterworth
@@ -134,9 +134,11 @@ def test_recordings_without_torque_and_motions_without_a_cut_off_are_refused():
 
 
 def test_no_filter_lets_through_more_than_half_the_rate():
-    for cutoff in (10.0, 50.0, 80.0):
+    for cutoff in (10.0, 50.0, np.inf):
         gap = measure_gap(pendulum(), swings(count=1), cutoff=cutoff)
         assert gap.cutoff == min(cutoff, 50.0)
+    with pytest.warns(HybridWarning, match="80 Hz filters nothing.* 50 Hz"):
+        assert measure_gap(pendulum(), swings(count=1), cutoff=80.0).cutoff == 50.0
 
 
 def test_a_correction_is_made_before_the_gap_is_measured():

@@ -67,7 +67,10 @@ def stuck_position(t: Array, q: Array) -> NDArray[np.bool_]:
         q: Position, shape (N,), [rad].
     """
     runs, bend = repeats(q, fewest_repeats(t)), np.abs(np.diff(q, 2))
-    frozen, usual = np.zeros_like(runs), np.quantile(bend, 1 - 0.01 * np.mean(bend > 0))
+    elsewhere = bend[~(runs[:-2] | runs[1:-1] | runs[2:])]
+    least = np.min(bend[bend > 0], initial=_COARSEST)
+    usual = max(np.quantile(np.append(elsewhere, least), 0.99), least)
+    frozen = np.zeros_like(runs)
     for run in stretches(runs):
         ends = [k for k in (run.start - 1, run.stop - 2) if 0 <= k < len(bend)]
         frozen[run] = np.any(bend[ends] > _SUDDEN * usual)
