@@ -1,35 +1,87 @@
 """Tell a caller who passes an argument of another type what is right."""
 
-from collections.abc import Iterable
-from typing import Any
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import cache, wraps
+from inspect import isclass, signature
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
+from reprlib import repr as short
+from types import UnionType
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
+from typing import get_type_hints as hints_of
+
+import numpy as np
 
 from hybrid.errors import HybridError
 
-ROBOT = "robot; valid is a Robot, as Robot.load('arm.urdf') gives"
-RECORDING = "recording; valid are recordings, as read_recordings('logs') gives"
-MODEL = "model; valid is a DynamicModel, as fit.model or DynamicModel.load gives"
+P = ParamSpec("P")
+R = TypeVar("R")
+_LISTS = Sequence, Collection, Iterable, tuple, list
+_KINDS: dict[Any, Any] = {
+    float: Real, int: Integral, Path: PathLike, np.ndarray: object, Any: object,
+}  # fmt: skip
+_MADE_BY = {
+    "Robot": "Robot.load('arm.urdf')",
+    "Recording": "read_recordings('logs')",
+    "DynamicModel": "fit.model or DynamicModel.load",
+    "Measurements": "hybrid.calibration.read_measurements",
+    "Effect": "effects_from_text('stribeck:elbow', robot.joints, joint_scales(robot))",
+}
 
 
-def check_argument(
-    value: object,
-    kind: type | tuple[type, ...],
-    words: str,
-    error: type[HybridError] = HybridError,
-) -> None:
-    """Refuse an argument of another type; ``words`` say what is valid."""
-    if not isinstance(value, kind):
-        shown = repr(value) if isinstance(value, str) else type(value).__name__
-        raise error(f"{shown} is no {words}")
+def typed(function: Callable[P, R]) -> Callable[P, R]:
+    """A function that refuses arguments of other types than its annotations say.
 
-
-def listed(values: Any, kind: type | tuple[type, ...], words: str) -> list[Any]:
-    """Items of a type, of which a single one stands for a list of one.
+    A single value stands for a list of one.
 
     Raises:
-        HybridError: An item is of another type.
+        HybridError: An argument is of another type; the message says what is valid.
     """
-    one = isinstance(values, str) or not isinstance(values, Iterable)
-    items = [values] if one else list(values)
-    for item in items:
-        check_argument(item, kind, words)
-    return items
+    parameters, hints = signature(function), cache(lambda: hints_of(function))
+
+    @wraps(function)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+        given = parameters.bind(*args, **kwargs)
+        for name, value in given.arguments.items():
+            hint = hints().get(name, Any)
+            if _fits(value, hint):
+                continue
+            if not _fits([value], hint):
+                plain = value is None or isinstance(value, (str, Real, Iterable))
+                shown = short(value) if plain else f"a {type(value).__name__}"
+                raise HybridError(f"{name} is {shown}; valid is {_words(hint)}")
+            given.arguments[name] = (value,)
+        return function(*given.args, **given.kwargs)
+
+    return checked
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of a type; an iterator is not read."""
+    origin, inner = get_origin(hint) or hint, get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, x) for x in inner)
+    if origin is Literal:
+        return value in inner
+    if origin is Mapping:
+        pairs = [*value.items()] if isinstance(value, Mapping) else [None]
+        return all(x and all(map(_fits, x, inner)) for x in pairs)
+    if origin in _LISTS:
+        alien = isinstance(value, (str, Mapping)) or not isinstance(value, Iterable)
+        items = value if isinstance(value, Collection) else ()
+        return not alien and all(_fits(x, inner[0]) for x in items)
+    if not isclass(origin) or getattr(origin, "_is_protocol", False):
+        return callable(value) or "__call__" not in vars(origin)
+    if isinstance(value, (bool, np.bool_)):
+        return origin in (bool, object, Any)
+    return isinstance(value, _KINDS.get(origin, origin))
+
+
+def _words(hint: Any) -> str:
+    """A type as a signature states it, and what gives one."""
+    words = hint.__name__ if isclass(hint) else re.sub(r"(\w+\.)+", "", str(hint))
+    words = re.sub(r"Literal\[(.*?)\]", r"\1", words)
+    sources = [x for kind, x in _MADE_BY.items() if re.search(rf"\b{kind}\b", words)]
+    return f"{words}, as {sources[0]} gives" if sources else words

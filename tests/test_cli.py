@@ -34,6 +34,13 @@ HEAVY = "torch mujoco pinocchio sklearn scipy matplotlib numpy".split()
 VERBS = ("simulate", "identify", "validate", "predict", "effects")
 EVERY_VERB = tuple(sys.modules["hybrid.cli"]._VERBS)
 SHORT = "--trajectories 1 --duration 2"
+LIFT = """
+<mujoco><worldbody><body>
+<joint name='turn' axis='0 1 0' range='-1 1' actuatorfrcrange='-20 20'/>
+<inertial pos='.1 0 .1' mass='2' diaginertia='.02 .02 .02'/><body pos='0 0 .2'>
+<joint name='lift' type='slide' axis='1 0 0' range='-.4 .4' actuatorfrcrange='-99 99'/>
+<inertial pos='.1 0 0' mass='2' diaginertia='.02 .02 .02'/></body></body></worldbody>
+</mujoco>"""
 
 
 def run(command: str) -> None:
@@ -205,7 +212,7 @@ class TestChain:
         run(f"validate --model {chain.model} --recordings {chain.log}")
         out = capsys.readouterr().out
         assert "noise floor" in out
-        said = r"([\d.]+)% less mean RMS than W?LS, (\S+) instead of (\S+) N·m"
+        said = r"([\d.]+)% less mean RMS than \w+, (\S+) instead of (\S+) N·m"
         less, error, plain = map(float, re.search(said, out).groups())
         assert less == pytest.approx(100 * (1 - error / plain), abs=0.1)
         assert not any(line.endswith(" ") for line in out.splitlines())
@@ -387,6 +394,41 @@ def test_an_export_names_the_files_of_its_own_format(chain, tmp_path, capsys):
     assert "manifest.json, model.json" in first
     assert "planar.h" in second and "model.json" not in second
     assert (tmp_path / "model.json").exists()
+
+
+class TestSlidingJoints:
+    """Their units are m and N wherever a table or a file states one."""
+
+    def test_inspect_identify_validate_and_effects_name_metres(self, tmp_path, capsys):
+        robot, model = tmp_path / "lift.xml", tmp_path / "model.json"
+        robot.write_text(LIFT, "utf-8")
+        run(
+            f"simulate --robot {robot} --effects viscous --duration 4 "
+            f"--trajectories 2 --out {tmp_path}/logs"
+        )
+        logs, record = tmp_path / "logs", tmp_path / "record.json"
+        capsys.readouterr()
+        run(f"inspect {logs} --robot {robot}")
+        said = capsys.readouterr().out
+        assert re.search(r"q_lift +q lift +m \(assumed\)", said)
+        assert re.search(r"tau_turn +tau turn +N·m \(assumed\)", said)
+        lift = next(x for x in said.splitlines() if x.startswith(" lift "))
+        assert re.search(r" m .* m/s .* m .* N ", lift) and "rad" not in lift
+        run(
+            f"identify --robot {robot} --recordings {logs} --stages rigid --out {model}"
+            f" --json {record}"
+        )
+        said = capsys.readouterr().out
+        assert "turn   lift, N    mean" in said
+        assert re.search(r"lift +viscous +coefficient .* N·s/m\n", said)
+        unknowns = json.loads(record.read_text("utf-8"))["unknowns"]
+        units = {x["label"]: x["unit"] for x in unknowns}
+        assert units["coulomb.level[lift]"] == "N"
+        assert units["coulomb.level[turn]"] == "N·m"
+        run(f"effects stribeck --robot {robot}")
+        said = capsys.readouterr().out
+        assert re.search(r"lift +velocity +m/s ", said)
+        assert re.search(r"turn +velocity +rad/s ", said)
 
 
 class TestEffects:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hybrid.diagnosis.gap.faults import (
-    _frozen,
     _leaps,
     find_faults,
 )
@@ -96,71 +95,6 @@ def test_a_run_counts_where_some_joint_moves_for_more_than_half_of_it():
         q = np.zeros((20, 2))
         q[:, 1] = np.cumsum((np.arange(20) >= 4) & (np.arange(20) < 4 + moving))
         assert _moving(q, flags).tolist() == (flags & kept).tolist()
-
-
-def paused(first, last, *, jump=0.0, count=300):
-    """A position of steps of one that stays for some samples, and then jumps."""
-    steps = np.ones(count)
-    steps[first + 1 : last] = 0.0
-    if last < count:
-        steps[last] = jump
-    return np.cumsum(steps)
-
-
-@pytest.mark.parametrize(("jump", "frozen"), [(4.6, False), (5.4, True)])
-def test_an_encoder_is_frozen_where_it_jumps_at_the_end(jump, frozen):
-    """Before it slows down: at rest it would not jump."""
-    x = paused(100, 130, jump=jump)
-    x[:101] = 90.0 + 10.0 * np.sin(np.pi / 2 * np.arange(101) / 100)
-    x[101:] += x[100] - x[101]
-    x[130:] += jump - (x[130] - x[129])
-    expected = np.flatnonzero(_frozen(x, 10)).tolist()
-    assert expected == (list(range(100, 130)) if frozen else [])
-
-
-@pytest.mark.parametrize(("last", "frozen"), [(0.09, False), (0.11, True)])
-def test_an_encoder_is_frozen_where_it_stops_suddenly(last, frozen):
-    """The five steps before the stop are no more than a tenth of a large one."""
-    steps = np.ones(300)
-    steps[96:101], steps[101:130] = last, 0.0
-    found = np.flatnonzero(_frozen(np.cumsum(steps), 10)).tolist()
-    assert found == (list(range(100, 130)) if frozen else [])
-
-
-def test_what_stays_from_the_first_sample_on_was_not_stopped():
-    """Only a jump afterwards says that it was frozen."""
-    for jump, frozen in ((1.0, False), (6.0, True)):
-        x = paused(0, 40, jump=jump)
-        assert np.flatnonzero(_frozen(x, 10)).tolist() == list(range(40 * frozen))
-    end = paused(260, 300)
-    assert np.flatnonzero(_frozen(end, 10)).tolist() == list(range(260, 300))
-
-
-def test_an_encoder_may_jump_to_where_it_stays():
-    x = paused(100, 130)
-    x[100:] += 6.0
-    assert np.flatnonzero(_frozen(x, 10)).tolist() == list(range(100, 131))
-    early = np.append(x[0] - 6.0, np.append(np.full(20, x[0]), x[0] + np.arange(200)))
-    assert np.flatnonzero(_frozen(early, 10)).tolist() == list(range(1, 22))
-    # What happens at the end of a log does not matter to its begin.
-    late = paused(0, 40, jump=1.0)
-    late[-1] += 50.0
-    assert not _frozen(late, 10).any()
-
-
-def test_only_the_last_five_steps_say_that_it_stopped_suddenly():
-    for slow, frozen in ((94, True), (95, False)):
-        steps = np.ones(300)
-        steps[slow], steps[101:130] = 0.0, 0.0
-        assert _frozen(np.cumsum(steps), 10).any() == frozen
-
-
-@pytest.mark.parametrize(("moved", "frozen"), [(1, False), (2, True), (4, True)])
-def test_a_step_long_before_a_stop_is_enough_at_the_begin_of_a_log(moved, frozen):
-    """The last one, in which it stops, says nothing."""
-    steps = np.ones(300)
-    steps[moved : moved + 29] = 0.0
-    assert _frozen(np.append(0.0, np.cumsum(steps)), 10).any() == frozen
 
 
 def test_a_usual_run_is_the_third_longest_of_three_or_more():
@@ -255,8 +189,3 @@ def test_notes_name_the_log_and_every_joint_that_jumps():
     assert note.startswith("run 3: torque of a, b jumps while the joint moves")
     assert "first at 3.29 s" in note
     assert np.flatnonzero(found.posture).tolist() == [329, 330, 499, 500]
-
-
-def test_a_sudden_stop_near_the_begin_of_a_log_is_seen():
-    for first in (4, 5, 6, 7):
-        assert _frozen(paused(first, 40), 10)[first:40].all()

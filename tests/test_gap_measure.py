@@ -20,7 +20,7 @@ from hybrid.diagnosis.gap.coverage import (
     too_little_motion,
     wrong_simulator,
 )
-from hybrid.diagnosis.gap.gap import Gap, unit_at, units
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import (
     _asked,
     _folds,
@@ -32,7 +32,7 @@ from hybrid.diagnosis.gap.measure import (
 )
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
-from hybrid.errors import RecordingError
+from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals.filters import butterworth
@@ -45,8 +45,9 @@ LIFTED = Robot.load(mujoco.MjModel.from_xml_string(LIFT))
 
 
 def test_units_are_those_of_a_slide_where_all_joints_are_slides():
-    assert units(LIFTED, [0]) == ("rad", "N·m") and units(LIFTED, [1]) == ("m", "N")
-    assert units(LIFTED, [0, 1]) == units(LIFTED, []) == ("rad", "N·m")
+    chain = LIFTED.chain
+    assert (chain.unit_at([0], "rad"), chain.unit_at([1], "rad")) == ("rad", "m")
+    assert chain.unit_at([0, 1], "N·m") == chain.unit_at([], "N·m") == "N·m"
 
 
 @pytest.mark.parametrize(
@@ -57,7 +58,8 @@ def test_units_are_those_of_a_slide_where_all_joints_are_slides():
     ],
 )  # fmt: skip
 def test_a_unit_at_a_slide_has_metres_for_radians(unit, there):
-    assert unit_at(LIFTED, [1], unit) == there and unit_at(LIFTED, [0], unit) == unit
+    assert LIFTED.chain.unit_at([1], unit) == there
+    assert LIFTED.chain.unit_at([0], unit) == unit
 
 
 # --- whether recordings suffice -------------------------------------------------------
@@ -132,9 +134,11 @@ def test_recordings_without_torque_and_motions_without_a_cut_off_are_refused():
 
 
 def test_no_filter_lets_through_more_than_half_the_rate():
-    for cutoff in (10.0, 50.0, 80.0):
+    for cutoff in (10.0, 50.0, np.inf):
         gap = measure_gap(pendulum(), swings(count=1), cutoff=cutoff)
         assert gap.cutoff == min(cutoff, 50.0)
+    with pytest.warns(HybridWarning, match="80 Hz filters nothing.* 50 Hz"):
+        assert measure_gap(pendulum(), swings(count=1), cutoff=80.0).cutoff == 50.0
 
 
 def test_a_correction_is_made_before_the_gap_is_measured():

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from simulated import arm, coman, quiet
 
+from hybrid.diagnosis.diagnose import diagnose
 from hybrid.effects import JointState, effect_class
-from hybrid.errors import HybridWarning, IdentificationError, RecordingError
+from hybrid.errors import (
+    HybridError,
+    HybridWarning,
+    IdentificationError,
+    RecordingError,
+)
 from hybrid.identification import identify, validate
 from hybrid.plant import simulate
 from hybrid.regression.least_squares import ESTIMATORS
@@ -27,7 +33,8 @@ def rows():
 
 def test_each_stage_lowers_the_held_out_error(rows):
     means = [row.mean for row in rows.values()]
-    assert list(rows)[:5] == ["LS", "WLS", "IRLS", "+ friction", "+ ripple"]
+    names = ["LS", "WLS", "IRLS", "rigid", "+ friction", "+ ripple"]
+    assert list(rows)[:6] == names
     assert rows["IRLS"].mean < rows["LS"].mean
     assert means[2:] == sorted(means[2:], reverse=True)
     assert rows["+ friction"].mean < 0.9 * rows["IRLS"].mean
@@ -248,9 +255,9 @@ def test_what_recordings_leave_open_is_named(logs):
 
 def test_bad_choices_are_refused_with_what_is_valid(logs):
     robot = arm("planar")
-    with pytest.raises(IdentificationError, match="valid are ls, wls, irls"):
+    with pytest.raises(HybridError, match="valid is 'ls', 'wls', 'irls'"):
         identify(robot, logs, estimator="ols")
-    with pytest.raises(IdentificationError, match="valid are rigid, friction"):
+    with pytest.raises(HybridError, match="valid is .*'rigid', 'friction'"):
         identify(robot, logs, stages=("rigid", "magic"))
     with pytest.raises(IdentificationError, match="no recording"):
         identify(robot, [])
@@ -258,6 +265,12 @@ def test_bad_choices_are_refused_with_what_is_valid(logs):
         identify(
             arm("coman_like"), [replace(x, joints=("joint_1", "joint_2")) for x in logs]
         )
+
+
+@pytest.mark.parametrize("verb", [identify, diagnose])
+def test_a_cutoff_above_half_the_rate_of_a_log_is_warned_of(logs, verb):
+    _, warnings = quiet(verb, arm("planar"), logs[:1], cutoff=10_000.0)
+    assert any("of 10000 Hz filters nothing" in x and "250 Hz" in x for x in warnings)
 
 
 def test_a_stage_left_out_is_a_warning(logs):

@@ -96,6 +96,39 @@ def test_a_wrong_log_is_told(name, kind):
         assert columns <= {j for d in right for j in d.joints}
 
 
+def late(x, seconds):
+    """A log whose torques are written so long after the positions they belong to."""
+    steps = round(seconds * x.rate)
+    fields = {name: v[steps:] for name, v in x.channels.items()}
+    return replace(x, t=x.t[steps:], **fields | {"tau": x.tau[:-steps]})
+
+
+def turned(x, joint, angle):
+    shift = np.where(np.arange(x.size) == joint, angle, 0.0)
+    return replace(x, q=x.q + shift, command=x.command + shift)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda x, arm: replace(x, tau=100 * x.tau / arm.tau_max), "percent of the"),
+        (lambda x, arm: turned(x, 1, np.pi / 2), "zero a quarter turn off"),
+        (lambda x, arm: turned(x, 3, -np.pi / 2), "zero a quarter turn off"),
+        (lambda x, arm: turned(x, 1, np.pi), "zero half a turn off"),
+        (lambda x, arm: late(x, 0.096), "some 0.1 s late"),
+        (lambda x, arm: late(x, 0.25), "some 0.2 s late"),
+    ],
+)
+def test_percent_another_zero_and_late_torques_are_told(spoil, words):
+    doubts = inspect_recording(spoil(right("ur5"), robot("ur5")), robot("ur5")).doubts
+    assert [d.severity for d in doubts if words in d.text] == ["error"]
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.04])
+def test_torques_as_late_as_those_of_a_slow_bus_are_no_fault(seconds):
+    assert not inspect_recording(late(right("ur5"), seconds), robot("ur5")).doubts
+
+
 @pytest.mark.parametrize(
     "name", [pytest.param(x, marks=STUDIED.get(x, ())) for x in ARMS]
 )

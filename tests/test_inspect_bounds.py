@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from pendulum import pendulum
 
+from hybrid.diagnosis.gap.faults import find_faults
 from hybrid.inspect.coverage import coverage_of
 from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.positions import doubts_of_positions
-from hybrid.inspect.samples import doubts_of_samples
+from hybrid.inspect.samples import doubts_of_samples, stuck_position
 from hybrid.inspect.scale import _constants, _text
 from hybrid.inspect.speeds import doubts_of_speeds
 from hybrid.inspect.state import State, filtered_state
@@ -202,14 +203,55 @@ def test_a_torque_is_frozen_for_a_fifth_of_a_second(samples, run, told):
     assert bool(found) == told
 
 
-@pytest.mark.parametrize("before", [False, True])
-@pytest.mark.parametrize(("times", "told"), [(4.5, False), (5.5, True)])
-def test_a_frozen_position_jumps_by_five_large_steps(times, told, before):
-    steps = np.full(500, 0.01)
-    steps[[5, 6]] = -0.01, 1e-4
-    steps[200:240] = 0.0
-    steps[199 if before else 240] = times * 0.01
-    assert any("then it jumps" in x for x in doubts(np.cumsum(steps))) == told
+def paused(first, last, *, step=0.1, bend=0.01, jump=0.0, count=400):
+    """A position whose steps change by a bend, and that stays for some samples."""
+    steps = step + bend * (np.arange(count) % 2)
+    steps[first:last] = 0.0
+    if last < count:
+        steps[last] += jump
+    return np.append(0.0, np.cumsum(steps))
+
+
+def frozen(q):
+    return np.flatnonzero(stuck_position(0.02 * np.arange(len(q)), q)).tolist()
+
+
+@pytest.mark.parametrize(("step", "told"), [(0.039, False), (0.051, True)])
+def test_a_position_is_frozen_that_stops_by_five_large_changes_of_its_step(step, told):
+    x = paused(100, 130, step=step)
+    assert frozen(x) == (list(range(100, 131)) if told else [])
+
+
+@pytest.mark.parametrize(("jump", "told"), [(0.049, False), (0.051, True)])
+def test_a_position_that_comes_to_rest_is_frozen_if_it_jumps_afterwards(jump, told):
+    x = paused(100, 130, step=0.0, jump=jump)
+    assert frozen(x) == (list(range(100, 131)) if told else [])
+
+
+@pytest.mark.parametrize(("last", "told"), [(108, False), (109, True)])
+def test_a_position_is_frozen_for_ten_samples_or_more(last, told):
+    assert bool(frozen(paused(100, last))) == told
+
+
+def test_a_position_is_frozen_from_the_first_sample_on_or_to_the_last():
+    assert frozen(paused(0, 40)) == list(range(41))
+    assert frozen(paused(360, 400)) == list(range(360, 401))
+
+
+def test_a_joint_that_rests_but_for_ticks_of_its_encoder_is_not_frozen():
+    ticks = np.zeros(1000)
+    ticks[100::300] = 0.01
+    assert frozen(np.cumsum(ticks)) == frozen(np.zeros(50)) == []
+
+
+def test_inspection_and_diagnosis_agree_on_what_is_frozen():
+    q = np.sin(0.02 * np.arange(500))
+    for stop, told in ((119, False), (120, True)):
+        q[100:stop] = q[100]
+        assert any("frozen" in x for x in doubts(q)) == told
+        log = Recording(0.01 * np.arange(500), q[:, None], joints=("a",))
+        log = replace(log, tau=np.cos(0.3 * log.t)[:, None])
+        assert bool(find_faults(log).notes) == told
 
 
 # --- positions ------------------------------------------------------------------------

@@ -163,7 +163,7 @@ def test_some_reading_undoes_what_is_wrong_and_says_what_it_is(spoil, words):
     wrong = spoil(right)
     found = [
         reading.looks_like
-        for reading in readings(robot.chain, list(STRAIGHT), np.argsort(SORTED))
+        for reading in readings(robot.chain, list(STRAIGHT), np.argsort(SORTED), wrong)
         for read in [reading.of(wrong)]
         if all(
             np.allclose(getattr(read, x), getattr(right, x), rtol=1e-9)
@@ -174,8 +174,9 @@ def test_some_reading_undoes_what_is_wrong_and_says_what_it_is(spoil, words):
 
 
 def test_a_scale_has_to_explain_more_than_friction_leaves_and_a_sign_need_not():
-    chain = arm("coman_like").chain
-    ways = list(readings(chain, list(STRAIGHT), np.argsort(SORTED)))
+    robot = arm("coman_like")
+    best = np.argsort(SORTED)
+    ways = list(readings(robot.chain, list(STRAIGHT), best, state_of(robot)))
     sign = next(x for x in ways if (x.factor == -1.0).any())
     scale = next(x for x in ways if "mN·m" in x.looks_like)
     clock = next(x for x in ways if x.clock == 2.0)

@@ -154,12 +154,12 @@ def lines(doubts):
         (log(tau=put(BOTH, np.s_[100:119, 1], 0.33)), [], None),
         (log(HELD, tau=put(BOTH, np.s_[100:120, 1], 0.33)), [], None),
         (
-            log(put(BOTH, np.s_[45:66, 1], BOTH[45, 1])),
+            log(put(BOTH, np.s_[45:65, 1], BOTH[45, 1])),
             [("warning", (1,), "q2 (b), row 46 (data rows count from 1): frozen for "
-              "21 samples, then it jumps")],
-            21,
+              "20 samples")],
+            20,
         ),
-        (log(put(BOTH, np.s_[45:65, 1], BOTH[45, 1])), [], None),
+        (log(put(BOTH, np.s_[45:64, 1], BOTH[45, 1])), [], None),
         (
             log(HELD, tau=HELD),
             [("warning", (), "all channels repeat for 11 samples from row 101 (data "

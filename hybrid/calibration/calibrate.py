@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid.arguments import ROBOT, check_argument
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.calibration.alignment import align
 from hybrid.calibration.geometry import (
@@ -36,9 +36,6 @@ _GROUP = {
     "theta": "geometry", "a": "geometry", "alpha": "geometry", "d": "geometry",
     "beta": "geometry", "compliance": "compliance", "scale": "scale",
 }  # fmt: skip
-_MEASUREMENTS = (
-    "measurement; valid are Measurements, as hybrid.calibration.read_measurements gives"
-)
 
 
 @dataclass(frozen=True)
@@ -158,6 +155,7 @@ class Calibration(Shown):
         return {b.name: np.linalg.norm(b.residual, axis=1) for b in blocks}
 
 
+@typed
 def calibrate(
     robot: Robot,
     data: Measurements,
@@ -269,8 +267,6 @@ def _load(robot: Robot, q: Array) -> Array:
 
 
 def _check(robot: Robot, data: Measurements, free: Collection[str]) -> None:
-    check_argument(robot, Robot, ROBOT)
-    check_argument(data, Measurements, _MEASUREMENTS)
     unknown = [group for group in free if group not in GROUPS]
     if unknown:
         raise CalibrationError(

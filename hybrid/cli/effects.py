@@ -15,7 +15,8 @@ from hybrid.robot import Robot
 
 HELP = """\
 an effect has gains, which a fit finds, and shapes, which are given. With a robot, the
-usual size of each is shown for each joint, in SI units.
+usual size of each is shown for each joint, in SI units. Without one, units are those of
+a joint that turns; at one that slides, m is in the place of rad, and N in that of N·m.
 
 --json: provenance, effects (effect, port, scope, equation, source, sentence, remedy,
 gains, shapes).
@@ -115,8 +116,16 @@ def _show_one(cls: type[Effect], screen: Screen) -> None:
 def _show_sizes(cls: type[Effect], robot: Robot, screen: Screen) -> None:
     """Show usual sizes at each joint of an arm, in SI units."""
     rows = [
-        (joint, x.name, x.unit, f"{x.typical:.4g}", f"{x.lower:.4g} to {x.upper:.4g}")
-        for joint, scale in zip(robot.joints, joint_scales(robot), strict=True)
+        (
+            joint,
+            x.name,
+            robot.chain.unit_at(() if cls.scope == "arm" else (k,), x.unit),
+            f"{x.typical:.4g}",
+            f"{x.lower:.4g} to {x.upper:.4g}",
+        )
+        for k, (joint, scale) in enumerate(
+            zip(robot.joints, joint_scales(robot), strict=True)
+        )
         for x in (y.scaled(scale) for y in (*cls.gains, *cls.shapes))
     ]
     header = ("joint", "parameter", "unit", "usual", "plausible")

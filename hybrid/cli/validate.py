@@ -7,12 +7,13 @@ from hybrid.cli.shared.screen import Screen
 from hybrid.identification import validate
 from hybrid.model.dynamic_model import check_same_arm
 from hybrid.report import table_from_validation
+from hybrid.report.table import shared_unit
 
 HELP = """\
 shows the RMS torque error of the model and of its simpler versions, joint by joint,
 over samples at which the joint moves, and the noise floor where the recordings tell it.
 
---json: provenance, robot, joints, rows (name, rms, relative, mean), reduction,
+--json: provenance, robot, joints, units, rows (name, rms, relative, mean), reduction,
 noise_floor, sources, samples, seconds.
 
 example:
@@ -39,10 +40,11 @@ def run(args: Namespace, screen: Screen) -> None:
         validation = validate(model, recordings, robot=robot)
     options.write_record(args, validation.as_dict())
     screen.show(table_from_validation(validation))
-    plain, last = validation.reference, validation.rows[-1]
-    change = validation.reduction
+    bar, last = validation.reference, validation.rows[-1]
+    change, unit = validation.reduction, shared_unit(validation.units)
     screen.say(
         f"{last.name}: {abs(change):.1%} {'more' if change < 0 else 'less'} mean RMS "
-        f"than {plain.name}, "
-        f"{last.mean:.4g} instead of {plain.mean:.4g} N·m"
+        f"than {bar.name}, {last.mean:.4g} instead of {bar.mean:.4g} {unit}"
+        if last is not bar
+        else f"{last.name}: {last.mean:.4g} {unit} mean RMS, the least of all models"
     )

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from hybrid.arguments import typed
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
@@ -33,7 +34,7 @@ from hybrid.diagnosis.gap.coverage import (
     too_little_motion,
     wrong_simulator,
 )
-from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import split
 from hybrid.effects.delay import Delay
 from hybrid.identification.preparation import checked_logs
@@ -65,6 +66,7 @@ _DOUBTFUL = (
 _OTHER_JOINT = "{} at {} may as well be {} at {}: these motions cannot tell them apart"
 
 
+@typed
 def diagnose(
     robot: Robot | DynamicModel,
     recordings: Sequence[Recording | Motion],
@@ -324,6 +326,6 @@ def _diagnosis(
         verdict=verdict,
         unexplained=unexplained,
         background=search.file_error,
-        units=tuple(units(gap.robot, [j])[1] for j in range(gap.robot.size)),
+        units=gap.robot.chain.units("N·m"),
         not_excited=not_excited(gap),
     )

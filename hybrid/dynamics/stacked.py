@@ -32,7 +32,10 @@ def stacked_base(
     """Base parameters of all inertial parameters and gains."""
     labels, units = inertial_labels(chain.size)
     labels += tuple(gain_labels(chain.joints, effects, effects[e])[g] for e, g in gains)
-    units += tuple(effects[e].gains[g].unit for e, g in gains)
+    units += tuple(
+        chain.unit_at(effects[e].unit_joints, effects[e].gains[g].unit)
+        for e, g in gains
+    )
     stacked = stacked_columns(chain, effects, gains, rich_motion(chain))
     return base_parameters(stacked.reshape(-1, stacked.shape[2]), labels, units)
 

@@ -179,6 +179,11 @@ class Effect(InPlant, Instant, ABC):
         """Joints that a report names for it."""
         return self.joints
 
+    @property
+    def unit_joints(self) -> tuple[int, ...]:
+        """Joints whose kind its units depend on: none for the whole arm."""
+        return () if self.scope == "arm" else self.at_joints
+
     @classmethod
     def declared(cls, nominal: Nominal) -> Array | None:
         """The parameter of the robot file that it changes, shape (n,), or None."""

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hybrid.arguments import check_argument
 from hybrid.effects.effect import Effect
 from hybrid.effects.quantity import Scale
 from hybrid.errors import EffectError
@@ -137,20 +136,6 @@ def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect
         return cls(tuple(joints), values, dict(content.get("std", {})))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise EffectError(f"not an effect: {content!r} ({error!r})") from error
-
-
-def check_effects(effects: Sequence[object]) -> None:
-    """Check that all items are effects, and not, for example, their names.
-
-    Raises:
-        EffectError: An item is no effect; the message says how to make one.
-    """
-    words = (
-        "effect; valid are effects, as effects_from_text('stribeck:elbow', "
-        "robot.joints, joint_scales(robot)) makes them"
-    )
-    for given in effects:
-        check_argument(given, Effect, words, EffectError)
 
 
 def effects_from_text(

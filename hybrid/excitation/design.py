@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.arguments import ROBOT, check_argument
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.excitation.constraints import (
@@ -158,6 +158,7 @@ class Design(Shown):
         }
 
 
+@typed
 def design(
     robot: Robot,
     observation: Observation,
@@ -193,7 +194,6 @@ def design(
         ExcitationError: No motion within the limits was found; the message names the
             limits and joints that prevent it.
     """
-    check_argument(robot, Robot, ROBOT)
     if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
     rng = np.random.default_rng(seed)

@@ -12,7 +12,6 @@ from typing import Any
 from hybrid import __version__
 from hybrid.dynamics import Law
 from hybrid.errors import HybridError
-from hybrid.exports.manifest import UNITS_OF_KIND
 from hybrid.model.program import Program
 from hybrid.names import c_comment, c_identifier
 from hybrid.robot import Robot
@@ -200,8 +199,8 @@ def c_header(program: Program, robot: Robot, digest: str) -> str:
 
 def _joint(robot: Robot, k: int) -> str:
     """Line of a joint in the comment at the top."""
-    units = UNITS_OF_KIND[bool(robot.chain.revolute[k])]
-    q, v, tau = (units[x].replace("·", " ") for x in ("q", "v", "tau"))
+    units = (robot.chain.unit_at([k], x) for x in ("rad", "rad/s", "N·m"))
+    q, v, tau = (x.replace("·", " ") for x in units)
     low, high, speed, most = (float(getattr(robot, name)[k]) for name in LIMITS)
     return (
         f" *   {k + 1} {c_comment(robot.joints[k])}: {low:.6g} to {high:.6g} {q}, "

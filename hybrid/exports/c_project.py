@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from hybrid.exports.c_code import c_header, c_number
-from hybrid.exports.manifest import UNITS_OF_KIND
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.model.program import Program
 from hybrid.names import c_identifier
@@ -93,7 +92,7 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
     for name, values in (("q", q), ("v", v), ("a", a)):
         marks[name] = ", ".join(c_number(float(x), p.upper()) for x in values[0])
     marks["tau"] = ", ".join(repr(float(x)) for x in tau[0])
-    units = (UNITS_OF_KIND[bool(x)]["tau"] for x in robot.chain.revolute)
+    units = robot.chain.units("N·m")
     marks["unit"] = ", ".join(f'"{x.replace("·", " ")}"' for x in units)
     texts = {
         f"{p}.h": header,

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hybrid.arguments import MODEL, check_argument
+from hybrid.arguments import typed
 from hybrid.errors import HybridError
 from hybrid.exports.c_project import write_c
 from hybrid.exports.manifest import build_manifest, seal
@@ -29,6 +29,7 @@ _LIBRARIES = {
 }
 
 
+@typed
 def export(
     model: DynamicModel,
     folder: str | Path,
@@ -62,7 +63,6 @@ def export(
             missing.
         EffectError: An effect cannot run in a control loop.
     """
-    check_argument(model, DynamicModel, MODEL)
     if format not in FORMATS:
         raise HybridError(f"no format {format!r}; valid are {', '.join(FORMATS)}")
     if format in _LIBRARIES:

@@ -16,10 +16,9 @@ from hybrid.shown import plain
 
 SCHEMA = "hybrid.export/2"
 FILE = "manifest.json"
-UNITS_OF_KIND = {  # of a revolute joint (True), and of a prismatic one
-    True: {"q": "rad", "v": "rad/s", "a": "rad/s²", "tau": "N·m", "variance": "(N·m)²"},
-    False: {"q": "m", "v": "m/s", "a": "m/s²", "tau": "N", "variance": "N²"},
-}
+_UNITS = {
+    "q": "rad", "v": "rad/s", "a": "rad/s²", "tau": "N·m", "variance": "(N·m)²",
+}  # fmt: skip
 _TRIES = 100  # to read a folder that other processes replace meanwhile
 
 
@@ -126,9 +125,8 @@ def _check_files(folder: Path, files: Mapping[str, str]) -> None:
 
 
 def _units(robot: Robot) -> dict[str, str | list[str]]:
-    kinds = [UNITS_OF_KIND[bool(x)] for x in robot.chain.revolute]
-    same = len(set(map(bool, robot.chain.revolute))) == 1
-    return {q: kinds[0][q] if same else [k[q] for k in kinds] for q in kinds[0]}
+    each = {name: robot.chain.units(unit) for name, unit in _UNITS.items()}
+    return {k: x[0] if len(set(x)) == 1 else [*x] for k, x in each.items()}
 
 
 def _series(version: str) -> list[str]:

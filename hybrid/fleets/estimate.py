@@ -148,7 +148,7 @@ def _rows(
                 yield Deviation(
                     "arm" if effect.scope == "arm" else where,
                     f"{effect.id}.{gain.name}",
-                    gain.unit,
+                    model.robot.chain.unit_at(effect.unit_joints, gain.unit),
                     *map(float, estimate),
                     *(float(x.get(gain.name, 0.0)) for x in (values, std)),
                     *means,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arguments import typed
 from hybrid.fleets.changes import MONTH, threshold
 from hybrid.fleets.plan import Plan, read_plan
 from hybrid.fleets.run import connected
@@ -58,6 +59,7 @@ class Fleet:
         return found
 
 
+@typed
 def fleet(
     plan: Plan | str | Path,
     out: str | Path,

@@ -87,6 +87,7 @@ class Identification:
             products, self.settled = self.solver.linearised(products)
         self.simpler = self.solver.plain(products)
         self._adopt(self.solver.best(products))
+        self._record_stage(self.best)
         last = self.simpler[self.estimator]
         A, _ = products.normal(last.weighted.weight)
         self.condition = condition_number(A)
@@ -317,8 +318,7 @@ class Identification:
     ) -> None:
         """Keep the model of a finished stage for comparison."""
         model = self._model(solution, remainder)
-        if model.stage != "rigid":  # that one is among the plain estimators
-            self.stages[model.stage] = model
+        self.stages[model.stage] = model
 
     def _leave_out(self, text: str) -> None:
         self.left_out.append(text)

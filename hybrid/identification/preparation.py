@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arguments import RECORDING, ROBOT, check_argument, listed
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
@@ -39,6 +39,7 @@ _WORTH_HALVING = 0.05  # relative fall of the error from which the cut-off is ha
 _MOST_HALVINGS = 3  # of the cut-off from the spectrum of the positions
 
 
+@typed
 def checked_logs(
     robot: Robot, recordings: Sequence[Recording | Motion]
 ) -> list[Recording | Motion]:
@@ -51,17 +52,15 @@ def checked_logs(
         IdentificationError: There is no recording.
         RecordingError: A recording does not fit the arm.
     """
-    check_argument(robot, Robot, ROBOT)
-    given = listed(recordings, (Recording, Motion), RECORDING)
-    if not given:
-        raise IdentificationError("no recording given; at least one is needed")
     logs: dict[tuple[str, str], Recording | Motion] = {}
-    for x in given:
+    for x in recordings:
         own = check_recordings([x], robot) if isinstance(x, Recording) else [x]
         for log in own:
             first = logs.setdefault((log_hash(log), _hash(log, log.q)), log)
             if first is not log:
                 warn(f"{log.source}: the same log as {first.source}; it counts once")
+    if not logs:
+        raise IdentificationError("no recording given; at least one is needed")
     return list(logs.values())
 
 
@@ -93,9 +92,15 @@ def motions_from_logs(
     Raises:
         IdentificationError: The cut-off is too low for the shortest log.
     """
+    slowest = min(logs, key=lambda x: x.rate)
     if cutoff is None:
         chosen = [choose_cutoff(x) for x in logs if isinstance(x, Recording)]
         cutoff = float(np.median(chosen)) if chosen else np.inf
+    elif slowest.rate / 2 < cutoff < np.inf:
+        warn(
+            f"{slowest.source}: a cut-off of {cutoff:g} Hz filters nothing; valid is "
+            f"up to half of its rate, {slowest.rate / 2:.3g} Hz"
+        )
     shortest = min(float(x.t[-1] - x.t[0]) for x in logs)
     if not cutoff * shortest >= FEWEST_PERIODS:
         raise IdentificationError(

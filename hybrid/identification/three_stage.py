@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
+from hybrid.arguments import typed
 from hybrid.effects import Effect
-from hybrid.effects.registry import check_effects
-from hybrid.errors import IdentificationError, warn
+from hybrid.errors import warn
 from hybrid.identification.fit import Fit
 from hybrid.identification.identification import Identification
 from hybrid.identification.preparation import (
@@ -20,7 +20,7 @@ from hybrid.identification.preparation import (
     products_at_best_cutoff,
 )
 from hybrid.recording import Recording
-from hybrid.regression.least_squares import ESTIMATORS, Estimator
+from hybrid.regression.least_squares import Estimator
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -31,6 +31,7 @@ STAGES: tuple[Stage, ...] = ("rigid", "friction", "ripple", "remainder")
 
 
 @one_thread
+@typed
 def identify(
     robot: Robot,
     recordings: Sequence[Recording | Motion],
@@ -65,8 +66,8 @@ def identify(
         The model with covariance, held-out errors and undetermined parameters.
 
     Raises:
-        IdentificationError: Unknown estimator or stage, a cut-off too low for the
-            recordings, too little data, or a model that predicts unseen torque worse
+        IdentificationError: A cut-off too low or too high for the recordings, too
+            little data, or a model that predicts unseen torque worse
             than the robot file does.
         RecordingError: A recording does not fit the arm, or has no torque.
 
@@ -74,8 +75,6 @@ def identify(
         HybridWarning: A stage was left out, an iteration did not converge, the motion
             excites the arm poorly, or consistent links fit worse.
     """
-    _check_choices(estimator, stages)
-    check_effects(effects)
     logs = checked_logs(robot, recordings)
     problem = build_problem(robot.chain, (*linear_effects(robot), *effects))
     products = products_at_best_cutoff(logs, problem, cutoff, robust=robust)
@@ -99,15 +98,3 @@ def identify(
     for text in fit.warnings:
         warn(text)
     return fit
-
-
-def _check_choices(estimator: str, stages: Sequence[str]) -> None:
-    if estimator not in ESTIMATORS:
-        raise IdentificationError(
-            f"no estimator {estimator!r}; valid are {', '.join(ESTIMATORS)}"
-        )
-    unknown = [s for s in stages if s not in STAGES]
-    if unknown:
-        raise IdentificationError(
-            f"no stage {', '.join(unknown)}; valid are {', '.join(STAGES)}"
-        )

@@ -35,6 +35,7 @@ class JointCoverage:
 
     Attributes:
         joint: Name.
+        units: Units of its position and of its torque.
         low: Lowest position, [rad or m].
         high: Highest position, [rad or m].
         fastest: Highest speed, [rad/s or m/s].
@@ -45,6 +46,7 @@ class JointCoverage:
     """
 
     joint: str
+    units: tuple[str, str]
     low: float
     high: float
     fastest: float
@@ -69,8 +71,13 @@ class Excitation:
     untold: tuple[str, ...]
 
 
-def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]:
+def coverage_of(
+    recording: Recording, state: State, chain: Chain | None = None
+) -> tuple[JointCoverage, ...]:
     """Motion and torque of every joint in a log on a uniform clock."""
+    units = [("rad", "N·m")] * recording.size
+    if chain is not None:
+        units = list(zip(chain.units("rad"), chain.units("N·m"), strict=True))
     speed = np.abs(state.v) * (np.ptp(recording.q, axis=0) > 0)
     fastest = speed.max(axis=0).tolist()
     moving = np.mean(speed > CREEP * np.maximum(fastest, 1e-300), axis=0).tolist()
@@ -83,7 +90,9 @@ def coverage_of(recording: Recording, state: State) -> tuple[JointCoverage, ...]
         if recording.command is not None and np.ptp(recording.command[:, j]) > 0:
             lag = _lag(recording.command[:, j], q, most) / recording.rate
         ends, pace = (float(q.min()), float(q.max())), (fastest[j], moving[j])
-        found.append(JointCoverage(joint, *ends, *pace, resolution(q), torque, lag))
+        found.append(
+            JointCoverage(joint, units[j], *ends, *pace, resolution(q), torque, lag)
+        )
     return tuple(found)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from hybrid.arguments import RECORDING, ROBOT, check_argument
+from hybrid.arguments import typed
 from hybrid.inspect.coverage import JointCoverage, coverage_of, excitation_of
 from hybrid.inspect.doubt import Doubt, raise_or_warn
 from hybrid.inspect.glitches import doubts_of_rows
@@ -27,6 +27,7 @@ _MOTION_CHECKS = (
 )
 
 
+@typed
 def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspection:
     """Inspect a log: its clock, its excitation, and reasons to mistrust it.
 
@@ -48,9 +49,7 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
     Warns:
         HybridWarning: The log has gaps, or an irregular clock.
     """
-    check_argument(recording, Recording, RECORDING)
     if robot is not None:
-        check_argument(robot, Robot, ROBOT)
         recording = recording.in_order(robot.joints)
     pieces = [_checked(piece, robot) for piece in unbroken(recording)]
     doubts = tuple(dict.fromkeys(doubt for found, *_ in pieces for doubt in found))
@@ -58,7 +57,7 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
     joints: tuple[JointCoverage, ...] = ()
     excitation = None
     if state is not None:
-        joints = coverage_of(longest, state)
+        joints = coverage_of(longest, state, robot.chain if robot else None)
         if robot is not None and recording.has_torque:
             excitation = excitation_of(robot.chain, state)
     return Inspection(recording, clock_of(recording), joints, excitation, doubts)

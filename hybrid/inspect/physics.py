@@ -1,4 +1,4 @@
-"""Test order, signs, angle unit and clock of a log by rigid-body dynamics.
+"""Test order, signs, units, zeros and clock of a log by rigid-body dynamics.
 
 Of all readings of a log the right one leaves the smallest residual of a fit with masses
 that may exist. With s the share of each torque's variance in the residual, a reading is
@@ -183,7 +183,7 @@ def _others(log: _Readings, clock_is_right: bool) -> list[OtherReading]:
 
     moving = np.flatnonzero(np.ptp(log.state.q, axis=0) > STILL).tolist()
     pairs = np.log(log.columns(log.written, "any").residual_of_pairs())
-    others = readings(log.chain, moving, linear_sum_assignment(pairs)[1])
+    others = readings(log.chain, moving, linear_sum_assignment(pairs)[1], log.state)
     return [x for x in others if not clock_is_right or x.channels != ("t",)]
 
 
@@ -227,5 +227,7 @@ def _doubt(
         f"{after[j]:.2g} of the variance of {recording.place('tau', j)} unexplained, "
         f"as logged {before[j]:.2g}"
     )
-    remedy = "valid are rad, N·m and s, by the robot file's axes, in its order"
+    remedy = (
+        "valid are rad, N·m and s, by the robot file's axes and zeros, in its order"
+    )
     return Doubt(reading.channels[0], reading.joints, text, remedy, severity, gain)

@@ -1,4 +1,4 @@
-"""List other readings of a log: other order, signs, units or clock."""
+"""List other readings of a log: other order, signs, units, zeros or clock."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,6 +18,7 @@ _UNITS = {
     1e2: "to be of the motor side of a gear, or too small by as much",
     1e-3: "to be in mN·m, or too large by as much",
 }
+_TURNS = {0.25: "a quarter turn", -0.25: "a quarter turn", 0.5: "half a turn"}
 _CLOCKS = {
     1e-3: "in milliseconds",
     1e-6: "in microseconds",
@@ -42,6 +43,8 @@ class OtherReading:
         order: Column of each joint, shape (n,).
         factor: Factor of each column, shape (n,).
         clock: True time over logged time.
+        shift: What is added to each position, shape (n,), [rad or m].
+        lag: Time by which torques come after positions, [s].
     """
 
     channels: tuple[str, ...]
@@ -50,13 +53,17 @@ class OtherReading:
     order: NDArray[np.intp]
     factor: Array
     clock: float = 1.0
+    shift: Array | float = 0.0
+    lag: float = 0.0
 
     @property
-    def motion(self) -> tuple[bytes, bytes, float]:
+    def motion(self) -> tuple[bytes, bytes, bytes, float, float]:
         """A key, equal for readings with the same motion."""
         if "q" in self.channels:
-            return self.order.tobytes(), self.factor.tobytes(), self.clock
-        return b"", b"", self.clock
+            shift = np.asarray(self.shift).tobytes()
+            columns = self.order.tobytes(), self.factor.tobytes()
+            return *columns, shift, self.clock, self.lag
+        return b"", b"", b"", self.clock, self.lag
 
     @property
     def torque(self) -> tuple[NDArray[np.intp], Array]:
@@ -66,20 +73,22 @@ class OtherReading:
         return np.arange(len(self.order)), np.ones(len(self.order))
 
     def moved(self, state: State) -> State:
-        """The log with its motion by this reading and its torque unchanged."""
+        """The log with its motion by this reading, and its torque at those times."""
         q, v, a = state.q, state.v / self.clock, state.a / self.clock**2
         if "q" in self.channels:
             q, v, a = (self.factor * x[:, self.order] for x in (q, v, a))
-        return replace(state, q=q, v=v, a=a)
+        tau = state.later[self.lag] if self.lag else state.tau
+        return replace(state, q=q + self.shift, v=v, a=a, tau=tau)
 
     def of(self, state: State) -> State:
         """The log with motion and torque by this reading."""
         order, factor = self.torque
-        return replace(self.moved(state), tau=factor * state.tau[:, order])
+        moved = self.moved(state)
+        return replace(moved, tau=factor * moved.tau[:, order], later={})
 
 
 def readings(
-    chain: Chain, moving: list[int], best: NDArray[np.intp]
+    chain: Chain, moving: list[int], best: NDArray[np.intp], state: State
 ) -> Iterator[OtherReading]:
     """List orders, signs, units and clocks that a log may have, simple ones first.
 
@@ -87,6 +96,7 @@ def readings(
         chain: The arm.
         moving: Joints that move; only their positions can be tested.
         best: Torque column that fits each joint best, shape (n,).
+        state: The log, of which the rating and times of the torque are taken.
     """
     n = chain.size
     kept, ones = np.arange(n), np.ones(n)
@@ -106,6 +116,9 @@ def readings(
                 yield OtherReading(channels, joints, words, order, ones)
     if n > 1:
         yield OtherReading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
+        if np.isfinite(share := state.rated / 100).all() and share.all():
+            words = "to be in percent of the rating"
+            yield OtherReading(("tau",), tuple(range(n)), words, kept, share)
         for factor, words in _UNITS.items():
             for j in moving:
                 each = np.where(kept == j, factor, 1.0)
@@ -114,6 +127,14 @@ def readings(
     for joints in dict.fromkeys([turning, *((j,) for j in turning)]):
         each = np.where(np.isin(kept, joints), _DEGREE, 1.0)
         yield OtherReading(("q",), joints, "to be in degrees", kept, each)
+    for j in turning:
+        for turn, name in _TURNS.items():
+            words = f"to count from a zero {name} off"
+            shift = np.where(kept == j, turn * 2 * np.pi, 0.0)
+            yield OtherReading(("q",), (j,), words, kept, ones, shift=shift)
+    for lag in state.later:
+        words = f"to be some {abs(lag):g} s {'late' if lag > 0 else 'early'}"
+        yield OtherReading(("tau",), tuple(range(n)), words, kept, ones, lag=lag)
     for clock, words in _CLOCKS.items():
         yield OtherReading(("t",), (), words, kept, ones, clock)
 

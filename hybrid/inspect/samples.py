@@ -3,10 +3,11 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
-from hybrid.inspect.stuck import stretches, stuck_torque
+from hybrid.inspect.stuck import fewest_repeats, repeats, stretches, stuck_torque
 from hybrid.recording import Recording
 from hybrid.recording.recording import row_words
 from hybrid.robot import Robot
@@ -21,6 +22,7 @@ LATEST = 1e19  # s: more than the nanoseconds since 1970, which the step reveals
 _MEASURED = "valid is a torque that was measured"
 _COARSEST = 0.01  # rad: worst resolution of a joint encoder
 _UNITS = (1e-3, "milli"), (1e-6, "micro"), (1e-9, "nano")
+_SUDDEN = 5.0  # times a large change of the step of a position
 _USUAL_RATE = 20.0, 2e4  # Hz
 
 
@@ -52,6 +54,27 @@ def resolution(x: Array, coarsest: float = np.inf) -> float:
     """Resolution of the encoder of a position, shape (N,), from its smallest step."""
     steps = np.abs(np.diff(x))
     return float(np.min(steps[steps > 0], initial=coarsest))
+
+
+def stuck_position(t: Array, q: Array) -> NDArray[np.bool_]:
+    """Samples at which the position of a joint is frozen, (N,).
+
+    At rest it repeats as well, but it comes to rest and leaves it as gradually as it
+    changes its speed elsewhere.
+
+    Args:
+        t: Time, shape (N,), [s].
+        q: Position, shape (N,), [rad].
+    """
+    runs, bend = repeats(q, fewest_repeats(t)), np.abs(np.diff(q, 2))
+    elsewhere = bend[~(runs[:-2] | runs[1:-1] | runs[2:])]
+    least = np.min(bend[bend > 0], initial=_COARSEST)
+    usual = max(np.quantile(np.append(elsewhere, least), 0.99), least)
+    frozen = np.zeros_like(runs)
+    for run in stretches(runs):
+        ends = [k for k in (run.start - 1, run.stop - 2) if 0 <= k < len(bend)]
+        frozen[run] = np.any(bend[ends] > _SUDDEN * usual)
+    return frozen
 
 
 def _clock(recording: Recording) -> Iterator[Doubt]:
@@ -148,12 +171,9 @@ def _frozen(recording: Recording) -> Iterator[Doubt]:
         text = f"all channels repeat for {length} samples from {row_words(row)}"
         yield Doubt("q", (), f"{text}: did the log stop?", evidence=length)
     for joint, x in enumerate(recording.q.T):
-        length, row = longest_run(x)
-        # At rest a position repeats as well, but it does not jump afterwards.
-        steps = np.abs(np.diff(x))
-        ends = [k for k in (row - 1, row + length - 1) if 0 <= k < len(steps)]
-        jump = max((float(steps[k]) for k in ends), default=0.0)
-        if length > 20 and jump > 5 * large_step(x):
-            where = recording.place("q", joint, row)
-            text = f"{where}: frozen for {length} samples, then it jumps"
+        frozen = stretches(stuck_position(recording.t, x))
+        if frozen:
+            length, start = max((run.stop - run.start, run.start) for run in frozen)
+            where = recording.place("q", joint, start)
+            text = f"{where}: frozen for {length} samples"
             yield Doubt("q", (joint,), text, evidence=length)

@@ -42,7 +42,7 @@ def doubts_of_speed_limits(
     limit = np.where(robot.v_max > 0, robot.v_max, np.inf)
     highest = np.where(np.isfinite(limit), _TOO_FAST * limit, _FASTEST)
     for j in np.flatnonzero(fastest > highest).tolist():
-        unit = "rad/s" if robot.chain.revolute[j] else "m/s"
+        unit = robot.chain.unit_at([j], "rad/s")
         text = (
             f"{recording.place('q', j)} moves at {fastest[j]:.4g} {unit}: positions "
             "look to be in degrees, or the clock is too fast"

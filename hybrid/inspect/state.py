@@ -1,6 +1,7 @@
 """Filter, differentiate and decimate a log to a few hundred samples."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from hybrid.signals.filters import butterworth, central_difference
 
 _MOST_SAMPLES = 300  # enough to fit some hundred columns
 _ASSUMED_RATE = 500.0  # Hz
+_LAGS = -0.2, -0.1, 0.1, 0.2  # s; drives and buses delay by less
 _EDGE = 1.5  # periods of the cut-off: transient of the filter
 
 
@@ -28,6 +30,7 @@ class State:
         relaxed: Rest position of the springs in the robot file, shape (n,), [rad or m];
             NaN at joints without one.
         rated: Rated torque in the robot file, shape (n,), [N·m or N].
+        later: The torque some time later, by that time in [s], shape (M, n) each.
     """
 
     q: Array
@@ -37,6 +40,7 @@ class State:
     logged: Array | None
     relaxed: Array
     rated: Array
+    later: Mapping[float, Array] = field(default_factory=dict)
 
 
 def filtered_state(recording: Recording, robot: Robot | None) -> State:
@@ -60,10 +64,13 @@ def filtered_state(recording: Recording, robot: Robot | None) -> State:
     v = central_difference(q, rate=rate)
     a = central_difference(v, rate=rate)
     tau = recording.tau if recording.has_torque else np.zeros_like(q)
-    channels = [x if x is None else smooth(x, cutoff)[kept]
-                for x in (q, v, a, tau, recording.v)]  # fmt: skip
+    tau = smooth(tau, cutoff)
+    q, v, a = (smooth(x, cutoff)[kept] for x in (q, v, a))
+    logged = None if recording.v is None else smooth(recording.v, cutoff)[kept]
+    at = {lag: kept + round(lag * rate) for lag in _LAGS}
+    later = {lag: tau[np.clip(rows, 0, samples - 1)] for lag, rows in at.items()}
     relaxed, rated = np.full(recording.size, np.nan), np.full(recording.size, np.inf)
     if robot is not None:
         relaxed = np.where(robot.stiffness > 0, robot.springref, np.nan)
         rated = robot.tau_max
-    return State(*channels, relaxed, rated)  # type: ignore[call-arg,arg-type]
+    return State(q, v, a, tau[kept], logged, relaxed, rated, later)

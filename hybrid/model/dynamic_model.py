@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import BaseParameters, RigidBody
@@ -119,6 +120,7 @@ class DynamicModel:
         own = replace(self, effects=tuple(split[True]), remainder=None)
         return program_from_model(own), tuple(split[False])
 
+    @typed
     def save(self, path: str | Path) -> None:
         """Write the model to ``path``, a JSON file with a hash of its content.
 
@@ -129,6 +131,7 @@ class DynamicModel:
         write_model(self, Path(path))
 
     @classmethod
+    @typed
     def load(cls, path: str | Path) -> DynamicModel:
         """Read a file of :meth:`save`.
 

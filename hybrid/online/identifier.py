@@ -17,7 +17,7 @@ from itertools import islice
 
 import numpy as np
 
-from hybrid.arguments import MODEL, check_argument
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.effects import Effect
 from hybrid.errors import IdentificationError
@@ -76,6 +76,7 @@ class OnlineIdentifier:
         IdentificationError: An effect cannot be tracked, or an option is out of range.
     """
 
+    @typed
     def __init__(
         self,
         robot: Robot,
@@ -131,11 +132,11 @@ class OnlineIdentifier:
         self.changes: list[Change] = []
 
     @classmethod
+    @typed
     def from_model(
         cls, model: DynamicModel, *, rate: float, prior: float = 0.05
     ) -> OnlineIdentifier:
         """Start from an identified model; its learned remainder is left out."""
-        check_argument(model, DynamicModel, MODEL)
         inertial = model.base.standard()[: 10 * model.robot.size]
         return cls(
             model.robot,
@@ -189,7 +190,10 @@ class OnlineIdentifier:
             where = "+".join(self.robot.joints[j] for j in effect.joints)
             where = "arm" if effect.scope == "arm" else where
             names += [f"{effect.id}.{s.name}[{where}]" for s in effect.shapes]
-            units += [s.unit for s in effect.shapes]
+            units += [
+                self.robot.chain.unit_at(effect.unit_joints, s.unit)
+                for s in effect.shapes
+            ]
         values = (self._estimate.filter.mean, *self._estimate.bounds, self.std)
         value, lower, upper, std = (x.tolist() for x in values)
         return tuple(map(Parameter, names, value, lower, upper, units, std))

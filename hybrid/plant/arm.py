@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from hybrid.arguments import typed
 from hybrid.arrays import Array, Index
 from hybrid.dynamics import inverse_dynamics as rigid_torque
 from hybrid.effects import Effect, JointEffect, Port
-from hybrid.effects.registry import check_effects
 from hybrid.errors import EffectError, HybridError
 from hybrid.robot.robot import Robot
 
@@ -141,14 +141,14 @@ def encoder_readings(
     return q, v
 
 
+@typed
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
     """Check that a plant of n joints can simulate the effects.
 
     Raises:
-        EffectError: An item is no effect, has neither a hook nor a law, or a joint out
+        EffectError: An effect has neither a hook nor a law, or a joint out
             of range.
     """
-    check_effects(effects)
     for effect in effects:
         if not (has_hook(effect) or isinstance(effect, JointEffect)):
             raise EffectError(

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.arguments import ROBOT, check_argument
+from hybrid.arguments import typed
 from hybrid.effects import Effect
 from hybrid.errors import HybridError
 from hybrid.plant.noise import Noise
@@ -14,6 +14,7 @@ from hybrid.recording.recording import Recording
 from hybrid.robot.robot import Robot
 
 
+@typed
 def simulate(
     robot: Robot | Plant,
     effects: Sequence[Effect] = (),
@@ -43,7 +44,6 @@ def simulate(
     Raises:
         HybridError: An argument is out of range, or an effect cannot be simulated.
     """
-    check_argument(robot, (Robot, Plant), ROBOT)
     if trajectories < 1:
         raise HybridError(f"trajectories is {trajectories}, 1 or more is valid")
     if isinstance(robot, Plant):

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from hybrid.arguments import typed
 from hybrid.errors import RecordingError, warn
 from hybrid.progress import Progress
 from hybrid.recording.build import recording_of
@@ -17,6 +18,7 @@ from hybrid.recording.recording import Recording
 from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
 
 
+@typed
 def read(path: str | Path, **options: Any) -> Recording:
     """Read the only recording of a file or folder; options as in :func:`read_all`.
 
@@ -35,6 +37,7 @@ def read(path: str | Path, **options: Any) -> Recording:
     return recording_of(logs[0], **options)
 
 
+@typed
 def read_all(
     paths: str | Path | Iterable[str | Path],
     *,
@@ -90,6 +93,7 @@ def read_all(
     return recordings
 
 
+@typed
 def recording_from_table(
     table: Any,
     *,

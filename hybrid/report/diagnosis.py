@@ -12,7 +12,6 @@ from markupsafe import Markup
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.result import Result
-from hybrid.diagnosis.gap.gap import units
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report import diagnosis_text
@@ -102,7 +101,7 @@ def _gap_rows(result: Result) -> tuple[list[dict[str, Any]], float]:
         width = {k: 100 * min(1.0, x / whole) for k, x in row.items()}
         above = max(0.0, width["today"] ** 2 - width["noise"] ** 2)
         row |= {"width": width, "above": np.sqrt(above) / 100}
-        row |= {"joint": found.joints[i], "unit": units(gap.robot, [i])[1]}
+        row |= {"joint": found.joints[i], "unit": gap.robot.chain.unit_at([i], "N·m")}
     return rows, longest
 
 

@@ -6,6 +6,7 @@ Curves have few points, all of held-out samples.
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ import numpy as np
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.explanations.explanation import Explanation
-from hybrid.diagnosis.gap.gap import units
 from hybrid.report.style import extremes
 
 MOST_POINTS = 1500  # of a curve or a scatter plot
@@ -41,16 +41,16 @@ def joint_curves(result: Result, i: int) -> dict[str, Any]:
         m.t, gap.trajectory, rows, [x.source for x in gap.motions]
     )
     spots = np.arange(0, len(rows), max(1, -(-len(rows) // MOST_POINTS)))
-    at, (turn, force) = rows[spots], units(gap.robot, [i])
+    at, unit = rows[spots], partial(gap.robot.chain.unit_at, [i])
     over = {
-        "position": (m.q[at, i], turn),
-        "speed": (m.v[at, i], f"{turn}/s"),
-        "acceleration": (m.a[at, i], f"{turn}/s²"),
-        "load": (gap.load[at, i], force),
+        "position": (m.q[at, i], unit("rad")),
+        "speed": (m.v[at, i], unit("rad/s")),
+        "acceleration": (m.a[at, i], unit("rad/s²")),
+        "load": (gap.load[at, i], unit("N·m")),
     }
     return {
         "name": gap.robot.joints[i],
-        "unit": force,
+        "unit": unit("N·m"),
         "noise": result.diagnosis.noise_floor[i],
         "time": thin(t, [gap.left[rows, i], scored.after[i][order]], rows),
         "marks": marks,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from hybrid.effects import Effect
     from hybrid.identification import DynamicModel, Fit
     from hybrid.recording import Recording
+    from hybrid.robot import Robot
 
 _EXCERPT_SECONDS = 3.0  # of a recording in a figure
 
@@ -26,8 +28,9 @@ _EXCERPT_SECONDS = 3.0  # of a recording in a figure
 def held_out_table(fit: Fit) -> Table:
     """RMS torque error of every stage on held-out samples, [N·m]."""
     robot = fit.model.robot
-    caption = f"Cross-validated RMS torque error on {robot.name}, N·m"
-    return error_table(fit.held_out, robot.joints, caption)
+    caption = f"Cross-validated RMS torque error on {robot.name}"
+    units = robot.chain.units("N·m")
+    return error_table(fit.held_out, robot.joints, units, caption)
 
 
 def effects_table(fit: Fit) -> Table:
@@ -41,7 +44,7 @@ def effects_table(fit: Fit) -> Table:
     effects = sorted(fit.model.effects, key=lambda effect: effect.joints)
     rows = []
     for effect in effects:
-        found = _found(effect, factor)
+        found = _found(effect, fit.model.robot, factor)
         if found:
             places = "+".join(joints[j] for j in effect.joints)
             where = "arm" if effect.scope == "arm" else places
@@ -75,8 +78,7 @@ def content_from_fit(fit: Fit) -> dict[str, Any]:
         "condition": fit.condition,
         "sigma": fit.sigma,
         "effects": [
-            effect.as_dict(robot.joints)
-            | {"units": {x.name: x.unit for x in (*effect.gains, *effect.shapes)}}
+            effect.as_dict(robot.joints) | {"units": _units(effect, robot)}
             for effect in fit.model.effects
         ],
         "unknowns": [
@@ -93,18 +95,25 @@ def content_from_fit(fit: Fit) -> dict[str, Any]:
     }
 
 
-def _found(effect: Effect, factor: float) -> list[str]:
+def _units(effect: Effect, robot: Robot) -> dict[str, str]:
+    """Unit of every parameter at the effect's joints."""
+    unit = partial(robot.chain.unit_at, effect.unit_joints)
+    return {x.name: unit(x.unit) for x in (*effect.gains, *effect.shapes)}
+
+
+def _found(effect: Effect, robot: Robot, factor: float) -> list[str]:
     """Parameters as texts; none if every gain is zero and has no interval."""
+    units = _units(effect, robot)
     gains = [
-        _quantity(g.name, value, g.unit, factor * std)
+        _quantity(g.name, value, units[g.name], factor * std)
         for g in effect.gains
         for value, std in [(effect.values[g.name], effect.std.get(g.name, 0.0))]
         if value != 0.0 or std > 0.0
     ]
     if not gains:
         return []
-    shapes = [_quantity(s.name, effect.values[s.name], s.unit) for s in effect.shapes]
-    return gains + shapes
+    names = [s.name for s in effect.shapes]
+    return gains + [_quantity(x, effect.values[x], units[x]) for x in names]
 
 
 def _quantity(name: str, value: float, unit: str, half: float = 0.0) -> str:

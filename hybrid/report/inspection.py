@@ -11,6 +11,7 @@ import numpy as np
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, lines_figure
 from hybrid.report.table import Table
+from hybrid.robot.chain import unit_of_slide
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,9 +29,14 @@ def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
         if reading is not None:
             key = reading.kind, reading.preset, reading.columns, reading.aside
             alike.setdefault(key, []).append(Path(x.recording.source).name)
+    every = [joint for x in inspections for joint in x.joints]
+    slides = {joint.joint for joint in every if joint.units[0] == "m"}
     tables = []
     for (kind, preset, columns, aside), names in alike.items():
-        rows = [(x.label, f"{x.channel} {x.joint}".strip(), *_unit(x)) for x in columns]
+        rows = [
+            (x.label, f"{x.channel} {x.joint}".strip(), *_unit(x, x.joint in slides))
+            for x in columns
+        ]
         rows += [(label, "set aside", "", why) for label, why in aside]
         more = f" and {len(names) - 1} more alike" if len(names) > 1 else ""
         caption = f"{names[0]}{more}: {kind}{f', preset {preset}' if preset else ''}"
@@ -39,9 +45,11 @@ def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
     return tables
 
 
-def _unit(column: Used) -> tuple[str, str]:
+def _unit(column: Used, slides: bool) -> tuple[str, str]:
     """Unit of a column in its file, and how it was converted."""
-    unit = column.unit.replace("*", "·") + " (assumed)" * (not column.stated)
+    unit = column.unit.replace("*", "·")
+    if not column.stated:
+        unit = f"{unit_of_slide(unit) if slides else unit} (assumed)"
     if (column.factor, column.offset) == (1.0, 0.0):
         return unit, ""
     shift = f" + {column.offset:.6g}" if column.offset else ""
@@ -76,27 +84,34 @@ def clocks_table(inspections: Sequence[Inspection]) -> Table:
 def joints_table(inspections: Sequence[Inspection]) -> Table:
     """One line per joint: its motion and torque in all logs together."""
     usable = [x for x in inspections if x.joints]
+    units = [x.units for x in usable[0].joints] if usable else []
+    usual = units[0] if len(set(units)) == 1 else ("rad", "N·m")
     rows = []
     for each in zip(*(x.joints for x in usable), strict=True):
         weights = [x.clock.duration for x in usable]
         moving = float(np.average([x.moving for x in each], weights=weights))
         step = min(x.resolution for x in each)
         torque = [x.torque for x in each if x.torque]
-        ends = np.array(torque or [(np.nan, np.nan)])
+        least = min((x[0] for x in torque), default=np.nan)
+        most = max((x[1] for x in torque), default=np.nan)
+        highest = max(x.high for x in each)
+        turn, force = ("" if x in usual else f" {x}" for x in each[0].units)
         lag = [x.lag for x in each if x.lag is not None]
         rows.append(
             (
                 each[0].joint,
-                f"{min(x.low for x in each):.3g} … {max(x.high for x in each):.3g}",
-                f"{max(x.fastest for x in each):.3g}",
+                f"{min(x.low for x in each):.3g} … {highest:.3g}{turn}",
+                f"{max(x.fastest for x in each):.3g}{turn and f'{turn}/s'}",
                 f"{moving:.0%}",
-                f"{step:.2g}" if np.isfinite(step) else "–",
-                f"{ends[:, 0].min():.3g} … {ends[:, 1].max():.3g}" if torque else "–",
+                f"{step:.2g}{turn}" if np.isfinite(step) else "–",
+                f"{least:.3g} … {most:.3g}{force}" if torque else "–",
                 f"{1000 * float(np.median(lag)):.0f}" if lag else "–",
             )
         )
-    header = ("joint", "q, rad", "fastest, rad/s", "moves", "step of q, rad")
-    return Table((*header, "torque, N·m", "q after command, ms"), tuple(rows))
+    turn, force = usual
+    header = ["joint", f"q, {turn}", f"fastest, {turn}/s", "moves"]
+    header += [f"step of q, {turn}", f"torque, {force}", "q after command, ms"]
+    return Table(tuple(header), tuple(rows))
 
 
 def untold_sentences(inspections: Sequence[Inspection]) -> list[str]:

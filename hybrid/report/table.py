@@ -11,6 +11,7 @@ from rich.text import Text
 
 from hybrid.arrays import Array
 from hybrid.identification import Validation
+from hybrid.identification.validation import fair_bar
 from hybrid.names import markdown
 
 
@@ -46,7 +47,8 @@ def table_from_validation(validation: Validation) -> Table:
     return error_table(
         {row.name: row.rms for row in validation.rows},
         validation.joints,
-        f"RMS torque error on {validation.robot}, N·m, "
+        validation.units,
+        f"RMS torque error on {validation.robot}, "
         f"{validation.samples:,} samples over {validation.seconds:.0f} s",
         noise_floor=validation.noise_floor,
     )
@@ -55,31 +57,43 @@ def table_from_validation(validation: Validation) -> Table:
 def error_table(
     rms: Mapping[str, Array],
     joints: Sequence[str],
+    units: Sequence[str],
     caption: str,
     *,
     noise_floor: Array | None = None,
 ) -> Table:
-    """Errors of models: at each joint, their mean, and its change from the first model.
+    """Errors of models: at each joint, their mean, and its change from the fair bar.
 
     Args:
         rms: RMS torque error of each model by name, shape (n,), [N·m].
         joints: Joint names, length n.
-        caption: Meaning and unit of the numbers.
+        units: Units of their torques, length n.
+        caption: Meaning of the numbers.
         noise_floor: RMS noise, which no model removes, shape (n,), [N·m].
     """
     rows = dict(rms) if noise_floor is None else {**rms, "noise floor": noise_floor}
     names = list(rows)
     values = np.array([[*x, np.nanmean(x)] for x in rows.values()])  # (rows, n + 1)
-    first = values[0, -1]
+    bar = fair_bar(rms)
+    least = values[names.index(bar), -1]
     columns = [_cells(column) for column in values.T]
-    change = ["–", *(_change(mean, first) for mean in values[1:, -1])]
+    change = [_change(mean, least) for mean in values[:, -1]]
+    change[names.index(bar)] = "–"
     if noise_floor is not None:
         change[-1] = ""  # it is no model
+    unit = shared_unit(units)
+    pairs = zip(joints, units, strict=True)
+    titles = (joint if own == unit else f"{joint}, {own}" for joint, own in pairs)
     return Table(
-        header=("", *joints, "mean", f"vs {names[0]}"),
+        header=("", *titles, "mean", f"vs {bar}"),
         rows=tuple(zip(names, *columns, change, strict=True)),
-        caption=caption,
+        caption=f"{caption}, {unit}",
     )
+
+
+def shared_unit(units: Sequence[str]) -> str:
+    """Unit of the mean over joints: that of revolute ones, unless all slide."""
+    return units[0] if len(set(units)) == 1 else "N·m"
 
 
 def terminal_table(table: Table) -> RichTable:

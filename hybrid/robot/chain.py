@@ -1,5 +1,6 @@
 """The kinematic chain as constant arrays, for batched dynamics."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,8 @@ INERTIAL_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 MOST_JOINTS = 128
 _ROUNDING = 1e-6  # of a rotation or a unit axis; files have six digits
 _MOST_GRAVITY = 1e3  # m/s²; a hundred times that of the earth
+# Unit at a revolute joint -> unit at a prismatic joint.
+_PRISMATIC = (("kg·m²", "kg"), ("(N·m)", "N"), ("N·m", "N"), ("rad", "m"))
 
 
 @dataclass(frozen=True)
@@ -96,3 +99,23 @@ class Chain:
     def size(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    def unit_at(self, joints: Sequence[int], unit: str) -> str:
+        """Convert a unit that is stated for revolute joints to that of some joints.
+
+        It stays for both kinds of joints together.
+        """
+        if len(joints) and not self.revolute[list(joints)].any():
+            return unit_of_slide(unit)
+        return unit
+
+    def units(self, unit: str) -> tuple[str, ...]:
+        """A unit that is stated for revolute joints, at each joint."""
+        return tuple(self.unit_at([k], unit) for k in range(self.size))
+
+
+def unit_of_slide(unit: str) -> str:
+    """Convert a unit that is stated for revolute joints to that of prismatic ones."""
+    for revolute, prismatic in _PRISMATIC:
+        unit = unit.replace(revolute, prismatic)
+    return unit

@@ -6,11 +6,12 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import mujoco
 import numpy as np
 
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import RobotError, warn
 from hybrid.names import name_fault
@@ -21,6 +22,10 @@ from hybrid.robot.unmodelled import check_modelled
 
 if TYPE_CHECKING:
     import pinocchio
+
+    Source: TypeAlias = str | Path | mujoco.MjModel | mujoco.MjSpec | pinocchio.Model
+else:
+    Source = Any  # pinocchio takes half a second
 
 _SPRINGS = ("quadratic", "cubic", "stiffness", "springref", "knee", "knee_speed")
 _SERVO = ("kp", "kd")
@@ -117,9 +122,10 @@ class Robot:
             raise RobotError(f"{where}q_min of joint {joint!r} is above its q_max")
 
     @classmethod
+    @typed
     def load(
         cls,
-        source: str | Path | mujoco.MjModel | mujoco.MjSpec | pinocchio.Model,
+        source: Source,
         *,
         joints: tuple[str, ...] | None = None,
         held: Mapping[str, float] | None = None,

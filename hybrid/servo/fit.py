@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arguments import RECORDING, ROBOT, check_argument, listed
+from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError
 from hybrid.progress import Progress, silent
@@ -39,6 +39,7 @@ _STILL = 3.0  # steps of the encoder: a joint with a smaller range rests
 
 
 @one_thread
+@typed
 def fit_servo(
     robot: Robot,
     recordings: Sequence[Recording],
@@ -67,8 +68,7 @@ def fit_servo(
         RecordingError: A log has no command, or no joint moves.
         RobotError: The link of a known mass does not exist.
     """
-    check_argument(robot, Robot, ROBOT)
-    logs = [x.in_order(robot.joints) for x in listed(recordings, Recording, RECORDING)]
+    logs = [x.in_order(robot.joints) for x in recordings]
     known, simulator = known_mass or {}, ServoSimulator(robot, gpu=gpu)
     prior = Drive.declared(robot).at(mass=known_masses(robot, known))
     struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
@@ -205,7 +205,7 @@ def _findings(
             effect=quantity.effect,
             joint=robot.joints[j],
             quantity=quantity.name,
-            unit=quantity.unit,
+            unit=robot.chain.unit_at([] if quantity.shared else [j], quantity.unit),
             file=float(prior.values[k, j]),
             value=float(drives[0].values[k, j]),
             interval=(low, high),

@@ -171,7 +171,7 @@ class ServoFit(Shown):
             "joints": list(joints),
             "sentence": self.sentence,
             "gap": [
-                {"joint": joint, "unit": "rad"}
+                {"joint": joint, "unit": self.robot.chain.unit_at([j], "rad")}
                 | {name: float(x[j]) for name, x in errors.items()}
                 for j, joint in enumerate(joints)
             ],
@@ -192,7 +192,7 @@ class ServoFit(Shown):
                 "value": float(self.drive[x.name][j]),
                 "std": float(self.std[k, j]),
                 "relative": x.positive,
-                "unit": x.unit,
+                "unit": self.robot.chain.unit_at([] if x.shared else [j], x.unit),
             }
             for k, x in enumerate(QUANTITIES)
         }

@@ -22,7 +22,7 @@ from hybrid.diagnosis.explanations.servo_fit import (
     hidden_damping,
     log_likelihood_ratio,
 )
-from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
 from hybrid.effects import Effect
@@ -259,7 +259,7 @@ def _finding(
         ControllerGain.at_scale if scale else (),
         [v for e in own for v in fitted_values(gap, e)],
         share=sum(s.share(kind) for s in servos) / max(total, 1e-300),
-        shrink=shrunk(squares, count, units(gap.robot, joints)[1], rng),
+        shrink=shrunk(squares, count, gap.robot.chain.unit_at(joints, "N·m"), rng),
     )
 
 

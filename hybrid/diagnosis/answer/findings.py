@@ -11,7 +11,7 @@ from hybrid.diagnosis.answer.intervals import NORMAL, shrunk
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
-from hybrid.diagnosis.gap.gap import Gap, unit_at, units
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect, effect_class
 
 _LEAST_CHANGE = 0.05  # of the largest change at a joint
@@ -133,7 +133,7 @@ def torque_shrink(
         for x in (without, scored.after)
     ]
     count = sum(len(scored.after[i]) for i in joints)
-    unit = units(scored.gap.robot, joints)[1]
+    unit = scored.gap.robot.chain.unit_at(joints, "N·m")
     return shrunk(np.array(squares), count, unit, rng)
 
 
@@ -162,8 +162,6 @@ def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
             bounds = x.scaled(scale)
             low, high = max(low, bounds.lower), min(high, bounds.upper)
             determined = part_of_range(bounds, low, high) < _UNDETERMINED
-        unit = x.unit
-        if effect.scope != "arm":
-            unit = unit_at(gap.robot, effect.at_joints, unit)
+        unit = gap.robot.chain.unit_at(effect.unit_joints, x.unit)
         found.append(Value(joint, x.name, value, unit, (low, high), determined))
     return found

@@ -11,7 +11,6 @@ from hybrid.diagnosis.answer.findings import changed_joints
 from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
-from hybrid.diagnosis.gap.gap import units
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
 from hybrid.progress import Progress
@@ -125,7 +124,7 @@ def motion_shrink(
         float(_removed(before, after)),
         interval(lambda k: _removed(before[k], after[k]), len(before), rng),
         replay.horizon,
-        units(replay.scored.gap.robot, joints)[0],
+        replay.scored.gap.robot.chain.unit_at(joints, "rad"),
     )
 
 

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.diagnosis import Region
 from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS
-from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.gap import Gap
 
 TORQUE_TO_MOTION = "torque to motion"
 
@@ -160,7 +160,7 @@ def _variables(
 ) -> Iterator[tuple[str, str, Array, Array]]:
     """Name and unit of each variable, its values at the samples and edges of bins."""
     m = gap.sampled
-    angle, force = units(gap.robot, [i])
+    angle, force = (gap.robot.chain.unit_at([i], x) for x in ("rad", "N·m"))
     speed, since = np.abs(m.v[rows, i]), time_since_reversal(gap, i)[rows]
     yield "link", TORQUE_TO_MOTION, np.zeros(len(rows)), np.array([0.0, 1.0])
     yield "speed", f"{angle}/s", speed, _decade_edges(speed)

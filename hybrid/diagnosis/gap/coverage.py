@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.gap import Gap, units
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.identification.preparation import STANDING
 
 _STILL = 0.005  # rad; range of a joint at rest, by noise and servo
@@ -30,7 +30,7 @@ def not_excited(gap: Gap) -> tuple[str, ...]:
 
 def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
     """Yield what joint i does not cover, with its rank."""
-    name, (unit, _) = gap.robot.joints[i], units(gap.robot, [i])
+    name, unit = gap.robot.joints[i], gap.robot.chain.unit_at([i], "rad")
     usable = gap.sampled.mask
     q, v = gap.sampled.q[usable, i], gap.sampled.v[usable, i]
     if q.size == 0 or np.ptp(q) < _STILL:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.inspect.samples import large_step
-from hybrid.inspect.stuck import fewest_repeats, repeats, stretches, stuck_torque
+from hybrid.inspect.samples import stuck_position
+from hybrid.inspect.stuck import stuck_torque
 from hybrid.recording import Recording
 
 _JUMP = 5.0  # times the usual step
@@ -38,7 +38,7 @@ def find_faults(recording: Recording) -> Faults:
     notes = []
     posture, torque = np.zeros(len(t), dtype=bool), np.zeros(tau.shape, dtype=bool)
     for j, name in enumerate(recording.joints):
-        frozen = _frozen(q[:, j], fewest_repeats(t))
+        frozen = stuck_position(t, q[:, j])
         if frozen.any():
             posture |= frozen
             notes.append(f"position of {name} is frozen for {frozen.mean():.0%}")
@@ -87,15 +87,3 @@ def _leaps(t: Array, q: Array, tau: Array) -> NDArray[np.bool_]:
     beside[1:] |= leap
     beside[:-1] |= leap
     return beside
-
-
-def _frozen(q: Array, least: int) -> NDArray[np.bool_]:
-    """Samples in runs of one position that begin or end with a jump."""
-    runs, steps, usual = repeats(q, least), np.abs(np.diff(q)), large_step(q)
-    frozen = np.zeros_like(runs)
-    for run in stretches(runs):
-        ends = steps[[k for k in (run.start - 1, run.stop - 1) if 0 <= k < len(steps)]]
-        before = steps[max(0, run.start - 6) : max(0, run.start - 1)]
-        sudden = before.size > 0 and before.min() > 0.1 * usual
-        frozen[run] = sudden or np.any(ends > _JUMP * usual)
-    return frozen

@@ -1,6 +1,6 @@
 """The gap: measured torque less the torque that the simulator needs."""
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -20,8 +20,6 @@ Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 LOWER_BAND = 0.5  # of the cut-off: above it, derivatives of positions are mostly noise
 _VISIBLE = 0.7  # of the cut-off: an oscillation above it is lost in noise
 _FRICTION_BAND = 25.0  # Hz; band in which a reversal of dry friction is visible
-# Unit at a revolute joint -> unit at a prismatic joint.
-_PRISMATIC = (("kg·m²", "kg"), ("(N·m)", "N"), ("N·m", "N"), ("rad", "m"))
 _KEPT = 500  # columns of effects, which a search asks for again and again
 _SMALL = 0.01  # of the typical gain, step of a finite difference
 
@@ -227,21 +225,3 @@ class Gap:
     def __iter__(self) -> Iterator[tuple[Motion, RigidBody, Sampler]]:
         """Each motion with its rigid body and its sampler."""
         return zip(self.motions, self.bodies, self.samplers, strict=True)
-
-
-def units(robot: Robot, joints: Sequence[int]) -> tuple[str, str]:
-    """Units of position and torque: m and N if all joints are prismatic.
-
-    Otherwise they are rad and N·m, also for both kinds of joints together.
-    """
-    if len(joints) and not any(robot.chain.revolute[j] for j in joints):
-        return "m", "N"
-    return "rad", "N·m"
-
-
-def unit_at(robot: Robot, joints: Sequence[int], unit: str) -> str:
-    """Convert a unit that is stated for revolute joints to that of some joints."""
-    if units(robot, joints) == ("m", "N"):
-        for revolute, prismatic in _PRISMATIC:
-            unit = unit.replace(revolute, prismatic)
-    return unit

@@ -92,7 +92,11 @@ def ranges(
         [list(_numbers(fields_of_model(x, motions, kind)).values()) for x in drawn]
     )
     links = dict(zip(INERTIAL_NAMES, INERTIAL_UNITS, strict=True))
-    every = np.array([{**_UNITS, **links}[name] for _, name in nominal])
+    at = {x: k for k, x in enumerate(model.robot.joints)}
+    every = np.array([
+        links.get(name) or model.robot.chain.unit_at([at[joint]], _UNITS[name])
+        for joint, name in nominal
+    ])  # fmt: skip
     highest = np.abs(values).max(axis=0)
     size = np.array([highest[every == unit].max() for unit in every])
     varies = np.ptp(values, axis=0) > _ROUNDING * size

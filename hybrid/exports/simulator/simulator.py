@@ -8,6 +8,7 @@ friction is approximated. The remaining effects are listed;
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -154,13 +155,15 @@ def _friction_note(robot: Robot, x: FittedFriction) -> str:
     kinds = "dry, falling and viscous" if falls else "dry and viscous"
     return (
         f"friction of {robot.joints[x.joint]} ({ids}), as {kinds} friction "
-        f"that miss {x.missed:.3g} of {x.torque:.3g} N·m RMS"
+        f"that miss {x.missed:.3g} of {x.torque:.3g} "
+        f"{robot.chain.unit_at([x.joint], 'N·m')} RMS"
     )
 
 
 def effect_note(robot: Robot, effect: Effect) -> str:
     """An effect with its joints and gains, in words."""
     joints = ", ".join(robot.joints[j] for j in effect.joints)
-    gains = [f"{g.name} {effect.values[g.name]:.4g} {g.unit}" for g in effect.gains
-             if effect.values[g.name]]  # fmt: skip
+    unit = partial(robot.chain.unit_at, effect.unit_joints)
+    gains = [f"{g.name} {effect.values[g.name]:.4g} {unit(g.unit)}"
+             for g in effect.gains if effect.values[g.name]]  # fmt: skip
     return f"{effect.id} of {joints} ({', '.join(gains)})"
