@@ -48,9 +48,11 @@ class OtherSamples:
         others = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
             *sampling_delays(gap)
         )
-        self.numbers = np.concatenate(numbers)
+        self.numbers = np.concatenate(numbers[: gap.robot.size])
+        typical = search.prior.file_errors[1]
+        self.evidence.scale_prior(np.concatenate(numbers), typical)
         self.evidence.scale_prior(self.numbers, search.file_error)
-        self.rigid = np.concatenate([self.numbers, *others])
+        self.rigid = np.concatenate([*numbers, *others])
         self._own: dict[Cause, Index] = {}
 
     def own(self, cause: Cause) -> Index:

@@ -71,14 +71,14 @@ class Posterior:
         self.evidence = Evidence(gap, self.learn)
         columns, sizes = background(gap)
         blocks = self.evidence.add(columns, sizes)
-        self.numbers = np.concatenate(blocks)
+        self.numbers = np.concatenate(blocks[: gap.robot.size])
         self._numbers_of = list(zip(map(max, columns), blocks, strict=True))
         self.file_error = self.prior.file_errors[1]
-        self.evidence.scale_prior(self.numbers, self.file_error)
+        self.evidence.scale_prior(np.concatenate(blocks), self.file_error)
         own = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
             *sampling_delays(gap)
         )
-        self.rigid = np.concatenate([self.numbers, *own])
+        self.rigid = np.concatenate([*blocks, *own])
         self.pool = Pool(self.evidence, without)
         self.pool.add_ripples(self.rigid, _RIPPLES)
         estimate_noise(self.evidence, np.arange(self.evidence.size))
@@ -184,6 +184,15 @@ class Posterior:
         key = base.tobytes(), c.place, tuple(c.effect.values.items())
         found: tuple[Candidate, float] = self._cached(fit, *key)
         return found
+
+    def weighted_squares(self, causes: Sequence[Cause]) -> Array:
+        """Squares that some causes leave, over the noise, shape (n,)."""
+
+        def squares() -> Array:
+            found = self.evidence.solve(self.columns(causes))
+            return self.evidence.weighted_squares(found.index, found.gains)
+
+        return np.asarray(self._cached(squares, "squares", frozenset(causes)))
 
     def held_out_loss(self, causes: Sequence[Cause]) -> Array:
         """Cross-validated loss of some causes, shape (2,), [nat].
