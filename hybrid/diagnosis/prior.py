@@ -14,8 +14,9 @@ class Prior:
         law_error: RMS error of a law of the library over that of the gap.
         real_law_error: The same of a real law, which differs from all simple laws.
         solver_error: RMS difference of two simulators over the RMS torque.
-        file_errors: Relative errors of the file's numbers that are tried. The second
-            one is typical.
+        file_errors: Relative errors of the links' numbers in the file that are tried.
+            The second one is typical, and that of all other numbers: friction that is
+            farther off is a cause of its own.
         file_factor: Standard deviation of the error from the typical one, as a factor.
         unknown_size: RMS of an unknown law, in rated torque.
         shortlist: Number of candidates whose shapes are fitted in a step.

@@ -84,21 +84,17 @@ class Moves(Proposals):
     def _rough_errors(self, causes: Sequence[Cause], other: Cause) -> float:
         """Evidence for a cause that may come from errors of rough laws, [nat].
 
-        They are a part of what a law explains at the joints of that cause. Those of an
-        unknown law count against a known cause only if the law is rougher.
+        Those of an unknown law count against a known cause only if the law is rougher.
         """
         known = other.candidate is not None
         least = [other.rough if known and not c.candidate else 0.0 for c in causes]
         rough = [c for c, x in zip(causes, least, strict=True) if c.rough > x]
         if not rough:
             return 0.0
-        at = other.place[1]
-        if other.candidate:
-            at = other.candidate.effect.reaches(self.gap.robot.size)
-        whole = self.weighted_squares(causes)
-        less = [self.weighted_squares([x for x in causes if x is not c]) for c in rough]
+        whole = self.score(causes)
+        less = [self.score([x for x in causes if x is not c]) for c in rough]
         pairs = zip(rough, less, strict=True)
-        return max(c.rough**2 * (x - whole)[[*at]].sum() / 2 for c, x in pairs)
+        return max(c.rough**2 * (whole - x) for c, x in pairs)
 
     def _exchange(self, cause: Cause) -> bool:
         """Exchange a cause for the best one in its place, or remove it."""

@@ -33,7 +33,7 @@ class OtherSamples:
 
     Attributes:
         evidence: Their cross-products, with the noise of the search.
-        numbers: Columns of the file's numbers.
+        numbers: Columns of the links' numbers in the file.
         rigid: Columns of the background.
         use: The samples.
     """
