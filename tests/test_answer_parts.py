@@ -872,7 +872,7 @@ def test_causes_that_unknown_laws_could_be_are_dropped(monkeypatch):
     doubts = []
     kinds, alike = _drop_improbable(search, doubts)
     assert search.causes == [law, one]
-    assert kinds == {one: ("a", "x")} and alike == {term: (here, there)}
+    assert kinds == {one: {"a": 0.5, "x": 0.5}} and alike == {term: (here, there)}
     assert doubts == [
         "a at hip may as well be y at knee: these motions cannot tell them apart"
     ]

@@ -208,7 +208,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     if far:
         doubts.append(_DOUBTFUL.format(", ".join(gap.robot.joints[j] for j in far)))
     search.substitute_unknown_laws()
-    kinds = [named.get(c, ()) for c in search.known]
+    kinds = [named.get(c, {}) for c in search.known]
     tell("scoring on unseen motions", 0.6)
     scored, effects = explain(search), refit(search)
     shown, left = unseen(search, found), left_unseen(scored, found)
@@ -239,7 +239,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
 
 def _drop_improbable(
     search: Search, doubts: list[str]
-) -> tuple[dict[Cause, tuple[str, ...]], dict[Term, tuple[Candidate, ...]]]:
+) -> tuple[dict[Cause, dict[str, float]], dict[Term, tuple[Candidate, ...]]]:
     """Remove causes from a search that are less probable than an unknown law.
 
     Args:
@@ -247,18 +247,22 @@ def _drop_improbable(
         doubts: Warnings, to which those of an uncertain joint are added.
 
     Returns:
-        The ids of each cause's alternatives at its joint, its own first; and the
-        alternatives themselves, with the most probable one at another joint.
+        The effects that may be in each cause's place at its joint, with their
+        probabilities, its own first; and the alternatives themselves, with the most
+        probable one at another joint.
     """
     beliefs = [b for b in search.beliefs if b.worth > unknown_worth(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
     kinds, alike, names = {}, {}, search.gap.robot.joints
     for b, term in zip(beliefs, search.terms, strict=True):
-        known = [x.candidate for x, _ in b.alternatives if x.candidate is not None]
+        known = {x.candidate: p for x, p in b.alternatives if x.candidate is not None}
         here = [c for c in known if {*c.place[1]} & {*term.place[1]}]
         there = [c for c in known if c not in here][:1]
-        kinds[b.cause] = tuple(dict.fromkeys(c.place[0] for c in here))
+        likely = dict.fromkeys((c.place[0] for c in here), 0.0)
+        for c in here:
+            likely[c.place[0]] += float(known[c])
+        kinds[b.cause] = likely
         alike[term] = tuple(c for c in (*here, *there) if c.place != term.place)
         for c in there:
             both = (term.place, c.place)

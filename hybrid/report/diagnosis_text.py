@@ -154,9 +154,18 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"On unseen motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
 
 
+def probability(f: Finding) -> list[str]:
+    """How probable it is that the effect or an alternative is there, if known."""
+    if np.isnan(f.probability):
+        return []
+    return [
+        "over 99% probable" if f.probability > 0.99 else f"{f.probability:.0%} probable"
+    ]
+
+
 def _entry(number: int, f: Finding) -> Iterator[str]:
     line = f"{number}. {effect_name(f.effect)} at {listed(f.joints)}: "
-    line += f"{f.share:.0%} of what is explained"
+    line += ", ".join([f"{f.share:.0%} of what is explained", *probability(f)])
     if f.alternatives[1:]:
         line += f"; may as well be {effects_listed(f.alternatives[1:], 'or')}"
     yield line

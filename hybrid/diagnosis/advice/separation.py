@@ -299,7 +299,7 @@ class Discrimination:
 def required_evidence(evidence: float) -> float:
     """Difference of evidence that distinguishes an explanation from another, [nat]."""
     prior = Prior()
-    return float(max(-np.log(prior.alternative), prior.law_error * evidence))
+    return float(max(-np.log(1.0 - prior.class_mass), prior.law_error * evidence))
 
 
 def _joined(parts: Sequence[Sequence[Array]]) -> list[Array]:

@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from hybrid.diagnosis.answer.events import Event
 from hybrid.files import write_json
 from hybrid.shown import Shown, plain
@@ -96,6 +98,10 @@ class Finding:
         shrink: The gap without and with it at its joints, in ``torque`` and ``motion``.
         sentence: What the effect is, in words.
         remedy: What to do about it.
+        chances: Probability of each alternative, mean over its joints; empty where
+            none was computed, as for the command.
+        probability: Probability that one of them is there, at the joint where it is
+            least. The rest is that of other effects, of an unknown law, and of none.
     """
 
     effect: str
@@ -106,6 +112,8 @@ class Finding:
     shrink: Mapping[str, Shrink]
     sentence: str
     remedy: str
+    chances: tuple[float, ...] = ()
+    probability: float = np.nan
 
 
 @dataclass(frozen=True)
