@@ -19,6 +19,7 @@ from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
+from hybrid.diagnosis.answer.words import headline
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.evidence.logs import measured, since_first
@@ -119,6 +120,13 @@ def examine(
     tell, rng = progress or silent, np.random.default_rng(seed)
     tell("measuring the gap", 0.0)
     case = _Case.of(robot, recordings, cutoff, without)
+    result = _examined(case, tell, rng)
+    found = result.diagnosis
+    return replace(result, diagnosis=replace(found, sentence=headline(found)))
+
+
+def _examined(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
+    """Explain torque, say where the gap lies, and compare torque and command."""
     result = _explained(case, tell, rng)
     if result.diagnosis.verdict == "not_excited":
         return result
@@ -230,7 +238,8 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
             *contacts_in_motion(scored.gap, effects),
             *events_at_rest(case.as_logged),
         ),
-        warnings=(*gap.notes, *logged.notes, *doubts),
+        warnings=(*gap.notes, *logged.notes),
+        doubts=tuple(doubts),
     )
     healthy = case.healthy.model.effects if case.healthy else ()
     return Result(diagnosis, case.as_logged, search, scored, found, effects,

@@ -1,7 +1,8 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,12 +12,13 @@ from hybrid.diagnosis.answer.events import Event
 from hybrid.files import write_json
 from hybrid.shown import Shown, plain
 
-SCHEMA = "hybrid.diagnosis/1"
+SCHEMA = "hybrid.diagnosis/2"
 
 Verdict = Literal[
     "no_gap", "explained", "partly_explained", "unexplained", "not_excited"
 ]
 Interval = tuple[float, float]
+_BY_JOINT = "rms", "relative", "noise_floor", "units", "unseen"  # in a row of each
 
 
 @dataclass(frozen=True)
@@ -175,9 +177,11 @@ class Diagnosis(Shown):
         not_excited: What the recordings do not determine.
         advice: Experiments to run next.
         warnings: Messages for the user.
+        doubts: Reasons to doubt the findings.
         provenance: Versions, seeds and files.
         unseen: The gap of each joint on held-out motions.
         events: Contacts of the moving arm, then pushes while it stood still.
+        sentence: The effects, their joints and what is left, in a few words.
     """
 
     robot: str
@@ -197,28 +201,63 @@ class Diagnosis(Shown):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     unseen: Unseen | None = None
     events: tuple[Event, ...] = ()
+    doubts: tuple[str, ...] = ()
+    sentence: str = ""
 
     def save(self, path: str | Path) -> None:
         """Write the diagnosis to a JSON file."""
         write_json(path, self.as_dict())
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready content by the schema ``hybrid.diagnosis/1``; NaN becomes None."""
-        content = plain(asdict(self))
-        gap = {x: content.pop(x) for x in ("rms", "relative", "noise_floor")}
-        for name, values in gap.items():
-            pairs = zip(values, self.rms, strict=True)
-            gap[name] = [x if moved > 0 else None for x, moved in pairs]
+        """JSON-ready content by the schema ``hybrid.diagnosis/2``; NaN becomes None."""
+        content = {x: y for x, y in asdict(self).items() if x not in _BY_JOINT}
         for region in content["where"]:
             names = "variable", "low", "high", "unit"
             region["region"] = {x: region.pop(x) for x in names}
         for finding in content["findings"]:
-            finding["class"] = finding.pop("alternatives")
+            ids, chances = finding.pop("alternatives"), finding.pop("chances")
+            pairs = zip_longest(ids, chances)
+            finding["class"] = [{"effect": e, "probability": p} for e, p in pairs]
             for shrink in finding["shrink"].values():
                 if shrink["horizon_s"] is None:
                     del shrink["horizon_s"]
-        gap["units"] = content.pop("units")
-        return {"schema": SCHEMA, "gap": gap, **content}
+        for event in content["events"]:
+            event["joints"] = self.joints
+        content["unknown"] = content.pop("unexplained")
+        gap = [*map(self._gap_of, range(len(self.joints)))]
+        found: dict[str, Any] = plain({"schema": SCHEMA, "gap": gap, **content})
+        return found
+
+    def _gap_of(self, joint: int) -> dict[str, Any]:
+        """The gap of a joint, and what is left of it."""
+        name, moves = self.joints[joint], self.rms[joint] > 0
+        row: dict[str, Any] = {
+            "joint": name,
+            "unit": self.units[joint] if self.units else "N·m",
+            "rms": self.rms[joint] if moves else None,
+            "relative": self.relative[joint] if moves else None,
+        }
+        each: dict[str, Any] = dict.fromkeys(x.name for x in fields(Unseen))
+        if self.unseen is not None:
+            each = {name: getattr(self.unseen, name)[joint] for name in each}
+        elif moves:
+            each["noise"] = self.noise_floor[joint]
+        by = [f.effect for f in self.findings if name in f.joints]
+        return row | each | {"explained_by": by, "unknown": self._unknown_at(joint)}
+
+    def _unknown_at(self, joint: int) -> float | None:
+        """Share of a joint's squares above noise that no finding explains, unseen.
+
+        None if nothing was above the noise.
+        """
+        if self.unseen is None:
+            return None
+        before, after, noise = (
+            getattr(self.unseen, x)[joint] ** 2 for x in ("before", "after", "noise")
+        )
+        if not before > noise:
+            return None
+        return float(np.clip((after - noise) / (before - noise), 0.0, 1.0))
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:

@@ -12,7 +12,7 @@ from hybrid.diagnosis.answer.diagnosis import (
     Value,
     listed,
 )
-from hybrid.report.table import decimals_of
+from hybrid.shown import decimals_of
 
 MOST_LINES = 10
 _ABOVE = 1.2  # times the noise: a smaller gap is not mentioned
@@ -77,7 +77,8 @@ def gap_joints(diagnosis: Diagnosis) -> list[str]:
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     """The diagnosis in at most ten lines: verdict, gap, findings, advice."""
     places, left = _places(diagnosis), _left(diagnosis)
-    begin = [verdict_sentence(diagnosis), *places, *left]
+    begin = [headline(diagnosis), verdict_sentence(diagnosis)]
+    begin += [*_doubts(diagnosis), *places, *left]
     end = list(_endings(diagnosis))
     room = MOST_LINES - len(begin) - len(end)
     entries = [list(_entry(k + 1, f)) for k, f in enumerate(diagnosis.findings)]
@@ -87,6 +88,11 @@ def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     if len(lines) > room:
         lines = [*lines[: room - 1], f"… and {len(lines) - room + 1} more"]
     return [*begin, *lines, *end]
+
+
+def _doubts(diagnosis: Diagnosis) -> Iterator[str]:
+    if diagnosis.doubts:
+        yield f"Doubts: {_few(diagnosis.doubts)}"
 
 
 def _places(diagnosis: Diagnosis) -> Iterator[str]:
