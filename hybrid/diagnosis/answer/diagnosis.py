@@ -13,6 +13,7 @@ from hybrid.files import write_json
 from hybrid.shown import Shown, plain
 
 SCHEMA = "hybrid.diagnosis/2"
+ABOVE = 1.2  # times the noise: a smaller gap is not mentioned
 
 Verdict = Literal[
     "no_gap", "explained", "partly_explained", "unexplained", "not_excited"
@@ -223,9 +224,10 @@ class Diagnosis(Shown):
                     del shrink["horizon_s"]
         for event in content["events"]:
             event["joints"] = self.joints
-        content["unknown"] = content.pop("unexplained")
-        gap = [*map(self._gap_of, range(len(self.joints)))]
-        found: dict[str, Any] = plain({"schema": SCHEMA, "gap": gap, **content})
+        first = {x: content.pop(x) for x in ("robot", "joints", "sentence", "verdict")}
+        first["unknown"] = content.pop("unexplained")
+        first["gap"] = [*map(self._gap_of, range(len(self.joints)))]
+        found: dict[str, Any] = plain({"schema": SCHEMA, **first, **content})
         return found
 
     def _gap_of(self, joint: int) -> dict[str, Any]:
@@ -248,14 +250,14 @@ class Diagnosis(Shown):
     def _unknown_at(self, joint: int) -> float | None:
         """Share of a joint's squares above noise that no finding explains, unseen.
 
-        None if nothing was above the noise.
+        None if the gap does not stand above the noise.
         """
         if self.unseen is None:
             return None
         before, after, noise = (
             getattr(self.unseen, x)[joint] ** 2 for x in ("before", "after", "noise")
         )
-        if not before > noise:
+        if not before > ABOVE**2 * noise:
             return None
         return float(np.clip((after - noise) / (before - noise), 0.0, 1.0))
 

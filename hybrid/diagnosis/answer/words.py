@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hybrid.diagnosis.answer.diagnosis import (
+    ABOVE,
     Diagnosis,
     Finding,
     Region,
@@ -15,7 +16,6 @@ from hybrid.diagnosis.answer.diagnosis import (
 from hybrid.shown import decimals_of
 
 MOST_LINES = 10
-_ABOVE = 1.2  # times the noise: a smaller gap is not mentioned
 _TORQUE = "N·m"
 _NO_BREAK = "\u00a0"  # between a number and its unit
 
@@ -71,7 +71,7 @@ def gap_joints(diagnosis: Diagnosis) -> list[str]:
     """Joints with a gap above noise, largest ratio first."""
     gaps = zip(diagnosis.rms, diagnosis.noise_floor, diagnosis.joints, strict=True)
     over = [(rms / max(noise, 1e-12), joint) for rms, noise, joint in gaps]
-    return [joint for ratio, joint in sorted(over, reverse=True) if ratio > _ABOVE]
+    return [joint for ratio, joint in sorted(over, reverse=True) if ratio > ABOVE]
 
 
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
@@ -139,9 +139,9 @@ def cautions(diagnosis: Diagnosis) -> list[str]:
     named = {joint for f in diagnosis.findings for joint in f.joints}
     unknown, worse = list[str](), list[str]()
     for joint, end, x in _unseen(diagnosis):
-        if joint not in named and x["after"] > _ABOVE * x["noise"]:
+        if joint not in named and x["after"] > ABOVE * x["noise"]:
             unknown.append(f"{joint} {number(x['after'])}{end}")
-        if x["after"] > _ABOVE * x["least_squares"]:
+        if x["after"] > ABOVE * x["least_squares"]:
             worse.append(f"{joint} {number(x['least_squares'])}{end}")
     said = {"no known cause": unknown, "least squares alone leaves less": worse}
     return [f"{k} at {_few(x, between=', ')}" for k, x in said.items() if x]
@@ -213,7 +213,7 @@ def shrink_sentence(kind: str, s: Shrink) -> str:
     change: tuple[float, ...] = (s.removed, *s.interval)
     if s.removed < 0:
         change = (-s.removed, *(-x for x in reversed(s.interval)))
-    size, low, high = (f"{100 * x:.0f}".replace("-", "−") for x in change)
+    size, low, high = (f"{round(100 * x)}".replace("-", "−") for x in change)
     return (
         f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_NO_BREAK}{s.unit}, "
         f"{size}% {'more' if s.removed < 0 else 'less'} (95% interval {low} to {high}%)"
