@@ -6,7 +6,7 @@ share with its Wilson interval for each question, and a figure how often the fir
 is wrong among the most certain answers (risk over coverage). "As large" is an effect
 that adds at least the noise to the gap of its joint, on motions that no step has seen.
 
-    python experiments/pooled_evidence.py reports/own_loops reports/healthy_arms
+    python experiments/pooled_evidence.py FOLDER FOLDER
 """
 
 from __future__ import annotations
