@@ -14,6 +14,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from rich.console import Console
 from hybrid import Diagnosis, diagnose, identify
 from hybrid.errors import HybridWarning
 from hybrid.report import Table
+from hybrid.shown import plain
 
 ARMS = "models/scara.xml", "ur5", "z1", "panda", "models/coman_like.xml"
 AGAINST = "file", "model"
@@ -51,7 +53,7 @@ def answers(job: tuple[str, int]) -> dict[str, Any]:
 
 def answer(found: Diagnosis) -> dict[str, Any]:
     """What a diagnosis says."""
-    unseen = found.as_dict()["unseen"]
+    unseen = found.unseen and plain(asdict(found.unseen))
     return {"verdict": found.verdict, "named": named(found), "unseen": unseen}
 
 

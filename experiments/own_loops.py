@@ -15,7 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from time import process_time
@@ -40,6 +40,7 @@ from hybrid.report import (
     write_results,
 )
 from hybrid.robot import Robot
+from hybrid.shown import plain
 
 RECORDINGS = 4
 LEFT_OUT = ("coulomb", "viscous", "armature")  # of a bare file
@@ -78,7 +79,7 @@ def run(
         "verdict": found.verdict,
         "named": named(found), "relative": found.relative,
         "unexplained": found.unexplained,
-        "unseen": found.as_dict()["unseen"],
+        "unseen": found.unseen and plain(asdict(found.unseen)),
         "cpu_s": process_time() - start,
     }  # fmt: skip
 
@@ -86,7 +87,13 @@ def run(
 def named(found: Diagnosis) -> list[dict[str, Any]]:
     """What a diagnosis names."""
     return [
-        {"effect": f.effect, "joints": f.joints, "class": f.alternatives}
+        {
+            "effect": f.effect,
+            "joints": f.joints,
+            "class": f.alternatives,
+            "chances": f.chances,
+            "probability": plain(f.probability),
+        }
         for f in found.findings
     ]
 

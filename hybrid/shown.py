@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from math import isfinite
+from math import floor, isfinite, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,3 +64,8 @@ def plain(x: Any) -> Any:
     if isinstance(x, (list, tuple)):
         return [plain(value) for value in x]
     return None if isinstance(x, float) and not isfinite(x) else x
+
+
+def decimals_of(size: float, digits: int, *, most: int = 9) -> int:
+    """Decimals with which a size has some significant digits."""
+    return min(max(digits - 1 - floor(log10(size)), 0), most)

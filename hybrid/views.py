@@ -15,6 +15,7 @@ import numpy as np
 from hybrid import report
 from hybrid.calibration import Calibration
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
+from hybrid.diagnosis.answer.words import probability
 from hybrid.excitation import Design
 from hybrid.identification import Fit
 from hybrid.inspect import Inspection
@@ -174,19 +175,21 @@ def _draw_servos(servos: ServoFit, ax: Axes) -> None:
 
 def _diagnosis_table(diagnosis: Diagnosis) -> Table:
     lines = tuple(
-        (f"{x.share:.0%}", x.effect, " + ".join(x.joints), x.sentence)
+        (f"{x.share:.0%}", " or ".join(x.alternatives), ", ".join(probability(x)),
+         " + ".join(x.joints), x.sentence)
         for x in diagnosis.findings
-    )
-    header = ("share", "effect", "joint", "what it means")
+    )  # fmt: skip
+    header = ("share", "effect", "certainty", "joint", "what it means")
     caption = f"{diagnosis.robot}: {diagnosis.verdict.replace('_', ' ')}"
     return Table(header, lines, caption, words=True)
 
 
 def _diagnosis_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     return [
-        {"effect": x.effect, "joint": value.joint, "parameter": value.name,
-         "value": value.value, "unit": value.unit, "low": value.interval[0],
-         "high": value.interval[1], "determined": value.determined}
+        {"effect": x.effect, "probability": x.probability, "joint": value.joint,
+         "parameter": value.name, "value": value.value, "unit": value.unit,
+         "low": value.interval[0], "high": value.interval[1],
+         "determined": value.determined}
         for x in diagnosis.findings
         for value in x.parameters
     ]  # fmt: skip

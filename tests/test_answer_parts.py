@@ -164,24 +164,28 @@ def test_terms_of_one_effect_are_one_finding_in_the_order_of_joints():
         Coulomb((1,), {"level": 2.0}), Viscous((0,), {"coefficient": 3.0}),
         Coulomb((0,), {"level": 1.0}),
     ]  # fmt: skip
-    kinds = [("coulomb", "presliding"), ("viscous",), ("coulomb",)]
+    kinds = [{"coulomb": 0.9, "presliding": 0.08}, {"viscous": 1.0}, {"coulomb": 0.7}]
     dry, drag = grouped(effects, kinds)
     assert (dry.effect, dry.joints) == ("coulomb", ("hinge_0", "hinge_1"))
     assert [v.value for v in dry.parameters] == [1.0, 2.0]
     assert dry.alternatives == ("coulomb", "presliding")
+    assert dry.chances == (pytest.approx(0.8), pytest.approx(0.04))
+    assert (dry.probability, drag.probability) == (pytest.approx(0.7), 1.0)
     assert (dry.share, drag.share) == (pytest.approx(4 / 6), pytest.approx(2 / 6))
 
 
 def test_a_term_in_place_of_an_unknown_law_is_no_finding():
     effects = [Coulomb((0,), {"level": 1.0}), Viscous((0,), {"coefficient": 3.0})]
-    (only,) = grouped(effects, [(), ("viscous",)])
+    (only,) = grouped(effects, [{}, {"viscous": 1.0}])
     assert only.effect == "viscous"
-    assert grouped(effects, [(), ()]) == ()
+    assert grouped(effects, [{}, {}]) == ()
 
 
 def test_a_law_that_takes_the_place_of_the_files_says_so():
     effects = [Coulomb((0,), {"level": -1.0}), Presliding((0,), {"level": 1.2})]
-    (found,) = grouped(effects, [("coulomb",), ("presliding",)], ("presliding",) * 2)
+    (found,) = grouped(
+        effects, [{"coulomb": 1.0}, {"presliding": 0.9}], ("presliding",) * 2
+    )
     assert found.effect == "presliding" and found.joints == ("hinge_0",)
     names = [v.name for v in found.parameters]
     assert names[-1] == "coulomb level" and names[0] == "level"
@@ -872,7 +876,7 @@ def test_causes_that_unknown_laws_could_be_are_dropped(monkeypatch):
     doubts = []
     kinds, alike = _drop_improbable(search, doubts)
     assert search.causes == [law, one]
-    assert kinds == {one: ("a", "x")} and alike == {term: (here, there)}
+    assert kinds == {one: {"a": 0.5, "x": 0.5}} and alike == {term: (here, there)}
     assert doubts == [
         "a at hip may as well be y at knee: these motions cannot tell them apart"
     ]
@@ -897,16 +901,35 @@ def test_a_region_is_written_with_its_range():
     made = Diagnosis("arm", ("a",), (2.0,), (0.5,), (0.1,), (region,), (f,),
                      "explained", 0.1, 0.02, units=("N·m",))  # fmt: skip
     found = made.as_dict()
-    assert found["schema"] == "hybrid.diagnosis/1" and found["gap"]["units"] == ["N·m"]
+    assert found["schema"] == "hybrid.diagnosis/2" and found["unknown"] == 0.1
+    (gap,) = found["gap"]
+    assert (gap["joint"], gap["unit"], gap["rms"], gap["noise"]) == (
+        "a", "N·m", 2.0, 0.1,
+    )  # fmt: skip
+    assert gap["explained_by"] == ["coulomb"] and gap["after"] is None
     (where,) = found["where"]
     assert where["region"] == {
         "variable": "speed", "low": 0.0, "high": 0.5, "unit": "rad/s",
     }  # fmt: skip
     assert where["share"] == 0.6 and "low" not in where
     (finding,) = found["findings"]
-    assert finding["class"] == ["coulomb", "viscous"]
+    assert finding["class"] == [
+        {"effect": "coulomb", "probability": None},
+        {"effect": "viscous", "probability": None},
+    ]
+    assert finding["probability"] is None
     assert "horizon_s" not in finding["shrink"]["torque"]
     assert finding["shrink"]["motion"]["horizon_s"] == 0.5
+
+
+def test_of_the_squares_above_noise_what_no_finding_explains_is_unknown():
+    each = (3.0, 1.0), (np.sqrt(5.0), 1.0), (2.0, 1.0), (2.0, 1.0), (1.0, 1.0)
+    made = Diagnosis("arm", ("a", "b"), (3.0, 1.0), (0.5, 0.5), (1.0, 1.0), (), (),
+                     "unexplained", 1.0, 0.02, unseen=Unseen(*each))  # fmt: skip
+    first, second = made.as_dict()["gap"]
+    assert first["unknown"] == pytest.approx((5 - 1) / (9 - 1))
+    assert second["unknown"] is None  # nothing is above the noise
+    assert (first["before"], first["ceiling"]) == (3.0, 2.0)
 
 
 # --- more of servos and files ---------------------------------------------------------

@@ -117,7 +117,8 @@ def test_it_names_the_cause_in_ten_lines_and_in_a_folder(answered):
     assert all(re.fullmatch(r"\d+ s: \w.*", x) for x in steps)
     *verdict, report, simulator = answered.out.splitlines()
     assert len(verdict) <= 10
-    assert verdict[0].startswith("Explained: one effect accounts for")
+    assert verdict[0].startswith("Stribeck at elbow; ")
+    assert verdict[1].startswith("Explained: one effect accounts for")
     assert any(line.startswith("1. Stribeck at elbow") for line in verdict)
     assert report == f"Report: {tmp_path}/deep/new/report.html"
     assert f"{tmp_path}/deep/new/sim_fixed.xml" in simulator
@@ -130,6 +131,8 @@ def test_it_names_the_cause_in_ten_lines_and_in_a_folder(answered):
     assert content == json.loads(found["deep/new/diagnosis.json"])
     (finding,) = content["findings"]
     assert (finding["effect"], finding["joints"]) == ("stribeck", ["elbow"])
+    assert content["sentence"] == verdict[0] and finding["probability"] > 0.95
+    assert finding["class"][0]["effect"] == "stribeck"
     assert b"Stribeck" in found["deep/new/report.html"]
 
 

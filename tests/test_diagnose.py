@@ -12,6 +12,7 @@ from simulated import arm, quiet
 
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
+from hybrid.diagnosis.answer.words import verdict_lines
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import Contacts
 from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
@@ -36,7 +37,6 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.plant import Noise, Plant, Reference, random_fourier, simulate
 from hybrid.recording import Recording
-from hybrid.report.diagnosis_text import verdict_lines
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
 
@@ -265,7 +265,7 @@ class TestGap:
         diagnosis = examine(robot, [*recordings[:3], replace(recordings[3], tau=tau)])
         (finding,) = diagnosis.diagnosis.findings
         assert finding.effect == "contact"
-        assert any("not on unseen motions" in x for x in diagnosis.diagnosis.warnings)
+        assert any("not on unseen motions" in x for x in diagnosis.diagnosis.doubts)
 
     def test_fit_and_score_share_nothing(self):
         gap = planar().gap
@@ -576,7 +576,7 @@ class TestSilence:
         robot, recordings = logs([STRIBECK], duration=2.0, count=1)
         diagnosis = examine(robot, recordings).diagnosis
         assert diagnosis.verdict == "not_excited"
-        assert any("3 s or more" in w for w in diagnosis.warnings)
+        assert any("3 s or more" in w for w in diagnosis.doubts)
 
     @pytest.mark.study
     def test_another_arm_is_no_cause(self):
@@ -587,7 +587,7 @@ class TestSilence:
         )
         found, said = quiet(examine, other, recordings)
         assert found.diagnosis.findings == ()
-        assert any("file of this robot" in w for w in found.diagnosis.warnings)
+        assert any("file of this robot" in w for w in found.diagnosis.doubts)
         assert any("the file's links leave" in w for w in said)
 
     @pytest.mark.study
@@ -662,7 +662,7 @@ class TestEvents:
         robot, recordings = logs([Contact((0, 1), push)], count=1, duration=12.0)
         diagnosis = examine(robot, recordings).diagnosis
         assert [f.effect for f in diagnosis.findings] == ["contact"]
-        assert any("only on the training samples" in w for w in diagnosis.warnings)
+        assert any("only on the training samples" in w for w in diagnosis.doubts)
 
     @pytest.mark.study
     @pytest.mark.parametrize("number", [0, 1])

@@ -13,6 +13,7 @@ from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.fixed import MODEL, SIMULATOR, write_fixed
 from hybrid.diagnosis.answer.links import COMMAND_TO_TORQUE, merged_links
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
+from hybrid.diagnosis.answer.words import verdict_lines
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects.actuator_lag import ActuatorLag
@@ -27,7 +28,6 @@ from hybrid.effects.torque_gain import TorqueGain
 from hybrid.identification import DynamicModel
 from hybrid.plant import Noise, Plant, simulate
 from hybrid.report.diagnosis import render_diagnosis
-from hybrid.report.diagnosis_text import verdict_lines
 from hybrid.robot import Robot
 
 LATE = CommandLatency((0,), {"time": 0.012})

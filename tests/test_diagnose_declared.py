@@ -127,7 +127,7 @@ class TestTooMuchFriction:
         assert "torque_offset" in {
             x for f in diagnosis.findings for x in f.alternatives
         }
-        off = any("the numbers of the file" in x for x in diagnosis.warnings)
+        off = any("the numbers of the file" in x for x in diagnosis.doubts)
         assert off == bool(without)
 
 

@@ -85,8 +85,9 @@ def test_of_a_joint_that_does_not_move_nothing_is_said_to_be_measured():
         "arm", ("a", "b"), rms=(0.0, 2.0), relative=(0.0, 0.5), noise_floor=(0.0, 0.1),
         where=(), findings=(), verdict="no_gap", unexplained=0.0, background=0.01,
     ).as_dict()  # fmt: skip
-    gap = {"rms": [None, 2.0], "relative": [None, 0.5], "noise_floor": [None, 0.1]}
-    assert {x: found["gap"][x] for x in gap} == gap
+    still, moving = found["gap"]
+    for name, value in (("rms", 2.0), ("relative", 0.5), ("noise", 0.1)):
+        assert (still[name], moving[name]) == (None, value)
 
 
 def test_two_effects_of_a_servo_share_what_they_explain_together():

@@ -66,7 +66,8 @@ def only(findings, effect):
 def test_of_a_sound_arm_the_noise_is_left():
     found = examined(logs()).diagnosis
     assert (found.verdict, found.unexplained) == ("no_gap", 0.0)
-    assert found.findings == found.where == found.warnings == found.events == ()
+    assert found.findings == found.where == found.events == ()
+    assert found.warnings == found.doubts == ()
     assert found.rms == pytest.approx([LEFT, LEFT], rel=0.15)
     assert found.noise_floor == pytest.approx([LEFT, LEFT], rel=0.25)
     assert found.units == ("N·m", "N·m")
@@ -139,7 +140,7 @@ def test_a_lightened_link_of_a_file_is_no_cause_but_is_said():
     light[1] /= 1.6
     found = examined(logs(), robot=pendulum(2).with_inertial(light)).diagnosis
     assert not found.findings and found.background > 0.1
-    assert any("errors of about" in x for x in found.warnings)
+    assert any("errors of about" in x for x in found.doubts)
 
 
 def test_numbers_of_a_file_that_are_far_off_are_said_and_no_silence():
@@ -153,10 +154,10 @@ def test_numbers_of_a_file_that_are_far_off_are_said_and_no_silence():
         found = examined(logs(size=4), library=("coulomb", "viscous"), robot=robot)
         found = found.diagnosis
         if right:
-            assert found.verdict == "no_gap" and not found.warnings
+            assert found.verdict == "no_gap" and not found.doubts
         else:
             assert found.verdict == "unexplained"
-            (said,) = found.warnings
+            (said,) = found.doubts
             assert "the numbers of the file have errors of about 5%" in said
 
 
@@ -188,7 +189,7 @@ def test_an_arm_that_hardly_moves_tells_nothing():
     few = logs(size=1, count=1, seconds=2.0)
     found = examined(few).diagnosis
     assert (found.verdict, found.unexplained) == ("not_excited", 1.0)
-    assert any("too few to name a cause" in x for x in found.warnings)
+    assert any("too few to name a cause" in x for x in found.doubts)
 
 
 class TestCommand:

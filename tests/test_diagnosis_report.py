@@ -22,15 +22,7 @@ from hybrid.diagnosis.answer.diagnosis import (
     Unseen,
     Value,
 )
-from hybrid.report.diagnosis import _gap_rows, render_diagnosis, write_diagnosis
-from hybrid.report.diagnosis_data import (
-    MOST_POINTS,
-    _roughness,
-    evidence_matrix,
-    joint_curves,
-    thin,
-)
-from hybrid.report.diagnosis_text import (
+from hybrid.diagnosis.answer.words import (
     MOST_LINES,
     headline,
     range_name,
@@ -38,6 +30,14 @@ from hybrid.report.diagnosis_text import (
     shrink_sentence,
     value_cells,
     verdict_lines,
+)
+from hybrid.report.diagnosis import _gap_rows, render_diagnosis, write_diagnosis
+from hybrid.report.diagnosis_data import (
+    MOST_POINTS,
+    _roughness,
+    evidence_matrix,
+    joint_curves,
+    thin,
 )
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -274,6 +274,7 @@ class TestVerdict:
             findings=many(causes),
             verdict=verdict,
             warnings=("w",) * cares,
+            doubts=("d",) * cares,
             not_excited=("x",) * cares,
             where=(WHOLE, SLOW) if where else (),
             advice=(Advice("run it slowly", ("a", "b"), 3.0),) if next_ else (),
@@ -287,11 +288,31 @@ class TestVerdict:
 
     def test_it_says_what_where_and_how_far(self):
         lines = verdict_lines(planar().diagnosis)
-        assert lines[0].startswith("Explained: 2 effects account for all of the gap")
-        assert lines[1].startswith("RMS gap in N·m: shoulder 1.")
-        assert lines[3].startswith("On unseen motion, in N·m: shoulder 1.")
-        assert lines[4].startswith("1. Torque ripple at shoulder: ")
-        assert "% less (95% interval " in lines[5]
+        assert lines[0] == headline(planar().diagnosis)
+        assert lines[1].startswith("Explained: 2 effects account for all of the gap")
+        assert lines[2].startswith("RMS gap in N·m: shoulder 1.")
+        assert lines[4].startswith("On unseen motion, in N·m: shoulder 1.")
+        assert lines[5].startswith("1. Torque ripple at shoulder: ")
+        assert "% less (95% interval " in lines[6]
+
+    def test_doubts_come_before_all_details(self):
+        found = replace(planar().diagnosis, doubts=("the file is of another arm",))
+        assert verdict_lines(found)[2] == "Doubts: the file is of another arm"
+        page = plain(render_diagnosis(replace(planar(), diagnosis=found)))
+        doubt = page.index("Doubts: the file is of another arm.")
+        assert doubt < page.index("The gap of each joint")
+
+    @pytest.mark.parametrize(
+        ("chance", "words"),
+        [(0.873, ", 87% probable"), (0.999, ", over 99% probable"), (np.nan, "")],
+    )
+    def test_how_probable_a_finding_is_can_be_read(self, chance, words):
+        (finding,) = many(1)
+        finding = replace(finding, probability=chance)
+        text = "\n".join(
+            verdict_lines(replace(planar().diagnosis, findings=(finding,)))
+        )
+        assert f"of what is explained{words};" in text
 
     def test_it_says_which_joint_has_no_cause_and_where_least_squares_is_better(self):
         """A user can have the least squares without us."""

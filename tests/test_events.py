@@ -6,11 +6,11 @@ import numpy as np
 from arms import MODELS
 
 from hybrid.diagnosis.answer.events import events_at_rest
+from hybrid.diagnosis.answer.words import pushes, verdict_lines
 from hybrid.diagnosis.diagnose import examine
 from hybrid.dynamics import RigidBody
 from hybrid.plant import Noise, Plant, simulate
 from hybrid.report.diagnosis import render_diagnosis
-from hybrid.report.diagnosis_text import pushes, verdict_lines
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 

@@ -514,6 +514,7 @@ def course(*, doubts=(), healthy=None, verdict="explained", effects=()):
         verdict: str
         noise_floor: tuple = (1.0, 2.0)
         where: tuple = ()
+        sentence: str = ""
 
     @dataclass(frozen=True)
     class Of:
@@ -532,6 +533,7 @@ def course(*, doubts=(), healthy=None, verdict="explained", effects=()):
             "locate": lambda gap, floor, rng: (gap, *floor),
             "command_link": link,
             "merged_links": lambda d, *rest: replace(d, where=("merged", *d.where)),
+            "headline": lambda found: f"it is {found.verdict}",
         }.items():
             m.setattr(diagnose_module, name, answer)
         m.setattr(_Case, "of", lambda *given: case)
@@ -544,6 +546,7 @@ def test_a_diagnosis_measures_explains_locates_and_asks_of_the_command():
     found, told, asked = course(effects=(*late, Coulomb((0,), {"level": 1.0})))
     assert found.diagnosis.where == ("merged", "as logged", 1.0, 2.0)
     assert found.command == ("late",)
+    assert found.diagnosis.sentence == f"it is {found.diagnosis.verdict}"
     assert asked == {"gap": "gap", "without": ("x",), "distorted": {0, 1}}
     assert [x for _, x in told] == [0.0, 0.65, 0.7]
 

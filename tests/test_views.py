@@ -118,6 +118,7 @@ def a_diagnosis(**more):
     found = Finding(
         "stribeck", ("b",), ("stribeck",), 0.8,
         (Value("b", "level", 2.0, "N·m", (1.5, 2.5)),), {}, "It sticks <b>.", "Oil it.",
+        (0.97,), 0.97,
     )  # fmt: skip
     numbers = ((2.0, 1.0), (0.5, 0.2), (0.1, 0.1))
     return Diagnosis("arm", ("a", "b"), *numbers, (), (found,), "explained", 0.1, 0.05)
@@ -128,6 +129,7 @@ def test_a_diagnosis_shows_its_findings_and_draws_the_gap_of_each_joint(tmp_path
     assert "It sticks &lt;b&gt;." in found._repr_html_()
     (row,) = found.to_frame().to_dict("records")
     assert (row["effect"], row["low"], row["high"]) == ("stribeck", 1.5, 2.5)
+    assert row["probability"] == 0.97 and "97% probable" in found._repr_html_()
     heights = [bar.get_height() for bar in found.plot().patches]
     assert heights == [2.0, 1.0, 0.1, 0.1]
     unseen = Unseen(*[(1.0, 0.3)] * 5)

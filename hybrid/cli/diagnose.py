@@ -14,12 +14,12 @@ from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer import fixed
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.answer.words import verdict_lines
 from hybrid.errors import EffectError, HybridError, warn
 from hybrid.files import atomic_folder, write_json
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.report.diagnosis import CONTENT, PAGE, write_diagnosis
-from hybrid.report.diagnosis_text import verdict_lines
 from hybrid.report.servo import write_servo_page
 from hybrid.report.viewers import Scene, scene_of_diagnosis, scene_of_servos, writer_of
 from hybrid.robot import Robot

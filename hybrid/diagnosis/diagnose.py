@@ -19,6 +19,7 @@ from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
+from hybrid.diagnosis.answer.words import headline
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.evidence.logs import measured, since_first
@@ -119,6 +120,13 @@ def examine(
     tell, rng = progress or silent, np.random.default_rng(seed)
     tell("measuring the gap", 0.0)
     case = _Case.of(robot, recordings, cutoff, without)
+    result = _examined(case, tell, rng)
+    found = result.diagnosis
+    return replace(result, diagnosis=replace(found, sentence=headline(found)))
+
+
+def _examined(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
+    """Explain torque, say where the gap lies, and compare torque and command."""
     result = _explained(case, tell, rng)
     if result.diagnosis.verdict == "not_excited":
         return result
@@ -208,7 +216,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     if far:
         doubts.append(_DOUBTFUL.format(", ".join(gap.robot.joints[j] for j in far)))
     search.substitute_unknown_laws()
-    kinds = [named.get(c, ()) for c in search.known]
+    kinds = [named.get(c, {}) for c in search.known]
     tell("scoring on unseen motions", 0.6)
     scored, effects = explain(search), refit(search)
     shown, left = unseen(search, found), left_unseen(scored, found)
@@ -230,7 +238,8 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
             *contacts_in_motion(scored.gap, effects),
             *events_at_rest(case.as_logged),
         ),
-        warnings=(*gap.notes, *logged.notes, *doubts),
+        warnings=(*gap.notes, *logged.notes),
+        doubts=tuple(doubts),
     )
     healthy = case.healthy.model.effects if case.healthy else ()
     return Result(diagnosis, case.as_logged, search, scored, found, effects,
@@ -239,7 +248,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
 
 def _drop_improbable(
     search: Search, doubts: list[str]
-) -> tuple[dict[Cause, tuple[str, ...]], dict[Term, tuple[Candidate, ...]]]:
+) -> tuple[dict[Cause, dict[str, float]], dict[Term, tuple[Candidate, ...]]]:
     """Remove causes from a search that are less probable than an unknown law.
 
     Args:
@@ -247,18 +256,22 @@ def _drop_improbable(
         doubts: Warnings, to which those of an uncertain joint are added.
 
     Returns:
-        The ids of each cause's alternatives at its joint, its own first; and the
-        alternatives themselves, with the most probable one at another joint.
+        The effects that may be in each cause's place at its joint, with their
+        probabilities, its own first; and the alternatives themselves, with the most
+        probable one at another joint.
     """
     beliefs = [b for b in search.beliefs if b.worth > unknown_worth(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
     kinds, alike, names = {}, {}, search.gap.robot.joints
     for b, term in zip(beliefs, search.terms, strict=True):
-        known = [x.candidate for x, _ in b.alternatives if x.candidate is not None]
+        known = {x.candidate: p for x, p in b.alternatives if x.candidate is not None}
         here = [c for c in known if {*c.place[1]} & {*term.place[1]}]
         there = [c for c in known if c not in here][:1]
-        kinds[b.cause] = tuple(dict.fromkeys(c.place[0] for c in here))
+        likely = dict.fromkeys((c.place[0] for c in here), 0.0)
+        for c in here:
+            likely[c.place[0]] += float(known[c])
+        kinds[b.cause] = likely
         alike[term] = tuple(c for c in (*here, *there) if c.place != term.place)
         for c in there:
             both = (term.place, c.place)

@@ -14,8 +14,9 @@ class Prior:
         law_error: RMS error of a law of the library over that of the gap.
         real_law_error: The same of a real law, which differs from all simple laws.
         solver_error: RMS difference of two simulators over the RMS torque.
-        file_errors: Relative errors of the file's numbers that are tried. The second
-            one is typical.
+        file_errors: Relative errors of the links' numbers in the file that are tried.
+            The second one is typical, and that of all other numbers: friction that is
+            farther off is a cause of its own.
         file_factor: Standard deviation of the error from the typical one, as a factor.
         unknown_size: RMS of an unknown law, in rated torque.
         shortlist: Number of candidates whose shapes are fitted in a step.
@@ -26,7 +27,7 @@ class Prior:
             may exceed the upper half in noise.
         probable: Probability of a known effect in the place of a cause, above which the
             cause is named.
-        alternative: Least probability of an effect that may take another's place.
+        class_mass: Probability that the effects of a class hold together.
     """
 
     cause: float = 10.0
@@ -42,4 +43,4 @@ class Prior:
     most_repeated: int = 3
     slow_share: float = 0.33
     probable: float = 0.5
-    alternative: float = 0.01
+    class_mass: float = 0.95

@@ -10,13 +10,13 @@ import numpy as np
 from markupsafe import Markup
 
 from hybrid.arrays import Array
+from hybrid.diagnosis.answer import words
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.answer.words import effect_name
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
-from hybrid.report import diagnosis_text
 from hybrid.report.diagnosis_data import evidence_matrix, joint_curves
-from hybrid.report.diagnosis_text import effect_name
 from hybrid.report.excitation import Postures
 from hybrid.report.output import provenance, render_template, write_results
 
@@ -62,8 +62,8 @@ def render_diagnosis(result: Result) -> str:
     return render_template(
         "diagnosis.html",
         title=f"{diagnosis.robot}: simulator against robot",
-        lead=diagnosis_text.verdict_sentence(diagnosis),
-        said=diagnosis_text,
+        lead=words.verdict_sentence(diagnosis),
+        said=words,
         diagnosis=diagnosis,
         rows=rows,
         longest=longest,

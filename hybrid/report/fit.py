@@ -11,7 +11,8 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.report.style import BEST, OTHERS, PALE, lines_figure
-from hybrid.report.table import Table, decimals_of, error_table
+from hybrid.report.table import Table, error_table
+from hybrid.shown import decimals_of
 from hybrid.signals import Motion, Sampler, motion_from_recording
 
 if TYPE_CHECKING:

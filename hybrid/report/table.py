@@ -13,6 +13,7 @@ from hybrid.arrays import Array
 from hybrid.identification import Validation
 from hybrid.identification.validation import fair_bar
 from hybrid.names import markdown
+from hybrid.shown import decimals_of
 
 
 @dataclass(frozen=True)
@@ -136,11 +137,6 @@ def _cells(column: Array) -> list[str]:
     smallest = float(np.min(sizes, initial=np.inf))
     decimals = decimals_of(smallest, 3, most=4) if np.isfinite(smallest) else 2
     return [f"{x:.{decimals}f}" if np.isfinite(x) else "–" for x in column]
-
-
-def decimals_of(size: float, digits: int, *, most: int = 9) -> int:
-    """Decimals with which a size has some significant digits."""
-    return int(np.clip(digits - 1 - np.floor(np.log10(size)), 0, most))
 
 
 def _change(mean: float, first: float) -> str:

@@ -1,20 +1,25 @@
 """The answer: where the gap lies, which effects cause it, how far it shrinks."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from hybrid.diagnosis.answer.events import Event
 from hybrid.files import write_json
 from hybrid.shown import Shown, plain
 
-SCHEMA = "hybrid.diagnosis/1"
+SCHEMA = "hybrid.diagnosis/2"
+ABOVE = 1.2  # times the noise: a smaller gap is not mentioned
 
 Verdict = Literal[
     "no_gap", "explained", "partly_explained", "unexplained", "not_excited"
 ]
 Interval = tuple[float, float]
+_BY_JOINT = "rms", "relative", "noise_floor", "units", "unseen"  # in a row of each
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,10 @@ class Finding:
         shrink: The gap without and with it at its joints, in ``torque`` and ``motion``.
         sentence: What the effect is, in words.
         remedy: What to do about it.
+        chances: Probability of each alternative, mean over its joints; empty where
+            none was computed, as for the command.
+        probability: Probability that one of them is there, at the joint where it is
+            least. The rest is that of other effects, of an unknown law, and of none.
     """
 
     effect: str
@@ -106,6 +115,8 @@ class Finding:
     shrink: Mapping[str, Shrink]
     sentence: str
     remedy: str
+    chances: tuple[float, ...] = ()
+    probability: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -167,9 +178,11 @@ class Diagnosis(Shown):
         not_excited: What the recordings do not determine.
         advice: Experiments to run next.
         warnings: Messages for the user.
+        doubts: Reasons to doubt the findings.
         provenance: Versions, seeds and files.
         unseen: The gap of each joint on held-out motions.
         events: Contacts of the moving arm, then pushes while it stood still.
+        sentence: The effects, their joints and what is left, in a few words.
     """
 
     robot: str
@@ -189,28 +202,64 @@ class Diagnosis(Shown):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     unseen: Unseen | None = None
     events: tuple[Event, ...] = ()
+    doubts: tuple[str, ...] = ()
+    sentence: str = ""
 
     def save(self, path: str | Path) -> None:
         """Write the diagnosis to a JSON file."""
         write_json(path, self.as_dict())
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready content by the schema ``hybrid.diagnosis/1``; NaN becomes None."""
-        content = plain(asdict(self))
-        gap = {x: content.pop(x) for x in ("rms", "relative", "noise_floor")}
-        for name, values in gap.items():
-            pairs = zip(values, self.rms, strict=True)
-            gap[name] = [x if moved > 0 else None for x, moved in pairs]
+        """JSON-ready content by the schema ``hybrid.diagnosis/2``; NaN becomes None."""
+        content = {x: y for x, y in asdict(self).items() if x not in _BY_JOINT}
         for region in content["where"]:
             names = "variable", "low", "high", "unit"
             region["region"] = {x: region.pop(x) for x in names}
         for finding in content["findings"]:
-            finding["class"] = finding.pop("alternatives")
+            ids, chances = finding.pop("alternatives"), finding.pop("chances")
+            pairs = zip_longest(ids, chances)
+            finding["class"] = [{"effect": e, "probability": p} for e, p in pairs]
             for shrink in finding["shrink"].values():
                 if shrink["horizon_s"] is None:
                     del shrink["horizon_s"]
-        gap["units"] = content.pop("units")
-        return {"schema": SCHEMA, "gap": gap, **content}
+        for event in content["events"]:
+            event["joints"] = self.joints
+        first = {x: content.pop(x) for x in ("robot", "joints", "sentence", "verdict")}
+        first["unknown"] = content.pop("unexplained")
+        first["gap"] = [*map(self._gap_of, range(len(self.joints)))]
+        found: dict[str, Any] = plain({"schema": SCHEMA, **first, **content})
+        return found
+
+    def _gap_of(self, joint: int) -> dict[str, Any]:
+        """The gap of a joint, and what is left of it."""
+        name, moves = self.joints[joint], self.rms[joint] > 0
+        row: dict[str, Any] = {
+            "joint": name,
+            "unit": self.units[joint] if self.units else "N·m",
+            "rms": self.rms[joint] if moves else None,
+            "relative": self.relative[joint] if moves else None,
+        }
+        each: dict[str, Any] = dict.fromkeys(x.name for x in fields(Unseen))
+        if self.unseen is not None:
+            each = {name: getattr(self.unseen, name)[joint] for name in each}
+        elif moves:
+            each["noise"] = self.noise_floor[joint]
+        by = [f.effect for f in self.findings if name in f.joints]
+        return row | each | {"explained_by": by, "unknown": self._unknown_at(joint)}
+
+    def _unknown_at(self, joint: int) -> float | None:
+        """Share of a joint's squares above noise that no finding explains, unseen.
+
+        None if the gap does not stand above the noise.
+        """
+        if self.unseen is None:
+            return None
+        before, after, noise = (
+            getattr(self.unseen, x)[joint] ** 2 for x in ("before", "after", "noise")
+        )
+        if not before > ABOVE**2 * noise:
+            return None
+        return float(np.clip((after - noise) / (before - noise), 0.0, 1.0))
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:

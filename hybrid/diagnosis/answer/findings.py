@@ -1,6 +1,6 @@
 """Turn terms of an explanation into findings: effects grouped over joints."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,7 +50,7 @@ class ExtraFindings:
 def findings(
     scored: Explanation,
     effects: Sequence[Effect],
-    kinds: Sequence[tuple[str, ...]],
+    kinds: Sequence[Mapping[str, float]],
     parts: Array,
     rng: np.random.Generator,
 ) -> tuple[Finding, ...]:
@@ -59,8 +59,8 @@ def findings(
     Args:
         scored: Explanation, scored on held-out samples.
         effects: Effect of each term with its final values.
-        kinds: Ids of effects that explain as much as each term, its own first; none for
-            a term in place of an unknown law.
+        kinds: Effects that explain as much as each term, with their probabilities, its
+            own first; none for a term in place of an unknown law.
         parts: Share of each term in what is explained, shape (terms,).
         rng: Random generator of the bootstrap.
     """
@@ -91,9 +91,17 @@ def findings(
             share=float(parts[members].sum()),
             shrink=torque_shrink(seen, without, rng),
         )
+        each = [kinds[k] for k in own if kinds[k]]
+        chances = [sum(x.get(a, 0.0) for x in each) for a in finding.alternatives]
         replaced = dict.fromkeys(effects[k].id for k in declared)
         sentence = finding.sentence + "".join(map(_REPLACES.format, replaced))
-        found.append(replace(finding, sentence=sentence))
+        finding = replace(
+            finding,
+            sentence=sentence,
+            chances=tuple(x / max(len(each), 1) for x in chances),
+            probability=min((sum(x.values()) for x in each), default=np.nan),
+        )
+        found.append(finding)
     return tuple(sorted(found, key=lambda f: -f.share))
 
 

@@ -33,7 +33,7 @@ class OtherSamples:
 
     Attributes:
         evidence: Their cross-products, with the noise of the search.
-        numbers: Columns of the file's numbers.
+        numbers: Columns of the links' numbers in the file.
         rigid: Columns of the background.
         use: The samples.
     """
@@ -48,9 +48,11 @@ class OtherSamples:
         others = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
             *sampling_delays(gap)
         )
-        self.numbers = np.concatenate(numbers)
+        self.numbers = np.concatenate(numbers[: gap.robot.size])
+        typical = search.prior.file_errors[1]
+        self.evidence.scale_prior(np.concatenate(numbers), typical)
         self.evidence.scale_prior(self.numbers, search.file_error)
-        self.rigid = np.concatenate([self.numbers, *others])
+        self.rigid = np.concatenate([*numbers, *others])
         self._own: dict[Cause, Index] = {}
 
     def own(self, cause: Cause) -> Index:

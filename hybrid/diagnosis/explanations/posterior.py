@@ -53,8 +53,8 @@ class Posterior:
     Attributes:
         evidence: Cross-products of the gap on the training samples.
         rigid: Columns of the background; see :mod:`.background`.
-        numbers: Columns of the file's numbers, a part of these.
-        file_error: Relative standard deviation of the file's numbers.
+        numbers: Columns of the links' numbers in the file, a part of these.
+        file_error: Relative standard deviation of the links' numbers.
         pool: Candidates of all effects at all places.
         laws: Unknown laws of all joints.
         noise: Noise of each joint, and errors of laws and simulators.
@@ -71,14 +71,14 @@ class Posterior:
         self.evidence = Evidence(gap, self.learn)
         columns, sizes = background(gap)
         blocks = self.evidence.add(columns, sizes)
-        self.numbers = np.concatenate(blocks)
+        self.numbers = np.concatenate(blocks[: gap.robot.size])
         self._numbers_of = list(zip(map(max, columns), blocks, strict=True))
         self.file_error = self.prior.file_errors[1]
-        self.evidence.scale_prior(self.numbers, self.file_error)
+        self.evidence.scale_prior(np.concatenate(blocks), self.file_error)
         own = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
             *sampling_delays(gap)
         )
-        self.rigid = np.concatenate([self.numbers, *own])
+        self.rigid = np.concatenate([*blocks, *own])
         self.pool = Pool(self.evidence, without)
         self.pool.add_ripples(self.rigid, _RIPPLES)
         estimate_noise(self.evidence, np.arange(self.evidence.size))
@@ -110,7 +110,7 @@ class Posterior:
 
     @property
     def reported_file_error(self) -> float:
-        """Relative error of the file's numbers to which intervals refer."""
+        """Relative error of the links' numbers to which intervals refer."""
         return max(self.file_error, self.prior.file_errors[2])
 
     def columns(self, causes: Sequence[Cause]) -> Index:
@@ -169,7 +169,7 @@ class Posterior:
         return float(self.prior.cause + self.gap.robot.size * np.log(2.0))
 
     def file_error_odds(self, error: float) -> float:
-        """Log odds against a relative error of the file's numbers, [nat].
+        """Log odds against a relative error of the links' numbers, [nat].
 
         An error above the typical one costs as much as one kind of cause: any link may
         be another one then.
@@ -333,7 +333,7 @@ class Posterior:
         return sorted(far)
 
     def set_file_error(self, error: float) -> None:
-        """Set the relative error of the file's numbers, and the noise for it."""
+        """Set the relative error of the links' numbers, and the noise for it."""
         self.file_error = error
         self.evidence.scale_prior(self.numbers, error)
         self._set_noise()

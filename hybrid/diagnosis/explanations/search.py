@@ -214,7 +214,7 @@ class Search(Moves):
         return frozenset([*settings, *near])
 
     def _fit_file_error(self) -> bool:
-        """Set the most probable error of the file's numbers; whether it has changed."""
+        """Set the most probable error of the links' numbers; whether it has changed."""
 
         def score(error: float) -> float:
             self.evidence.scale_prior(self.numbers, error)
@@ -233,7 +233,7 @@ class Search(Moves):
         return better
 
     def _exchange_file_error(self) -> bool:
-        """Exchange a large error of the file's numbers for the best cause."""
+        """Exchange a large error of the links' numbers for the best cause."""
         typical, error = self.prior.file_errors[1], self.file_error
         if error <= typical:
             return False
@@ -251,7 +251,7 @@ class Search(Moves):
         return False
 
     def _reset_file_error(self) -> bool:
-        """Return to the typical error of the file's numbers if a larger one fails.
+        """Return to the typical error of the links' numbers if a larger one fails.
 
         It fails if it does not lower the loss on test samples.
 

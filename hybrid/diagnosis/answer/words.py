@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hybrid.diagnosis.answer.diagnosis import (
+    ABOVE,
     Diagnosis,
     Finding,
     Region,
@@ -12,10 +13,9 @@ from hybrid.diagnosis.answer.diagnosis import (
     Value,
     listed,
 )
-from hybrid.report.table import decimals_of
+from hybrid.shown import decimals_of
 
 MOST_LINES = 10
-_ABOVE = 1.2  # times the noise: a smaller gap is not mentioned
 _TORQUE = "N·m"
 _NO_BREAK = "\u00a0"  # between a number and its unit
 
@@ -71,13 +71,14 @@ def gap_joints(diagnosis: Diagnosis) -> list[str]:
     """Joints with a gap above noise, largest ratio first."""
     gaps = zip(diagnosis.rms, diagnosis.noise_floor, diagnosis.joints, strict=True)
     over = [(rms / max(noise, 1e-12), joint) for rms, noise, joint in gaps]
-    return [joint for ratio, joint in sorted(over, reverse=True) if ratio > _ABOVE]
+    return [joint for ratio, joint in sorted(over, reverse=True) if ratio > ABOVE]
 
 
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     """The diagnosis in at most ten lines: verdict, gap, findings, advice."""
     places, left = _places(diagnosis), _left(diagnosis)
-    begin = [verdict_sentence(diagnosis), *places, *left]
+    begin = [headline(diagnosis), verdict_sentence(diagnosis)]
+    begin += [*_doubts(diagnosis), *places, *left]
     end = list(_endings(diagnosis))
     room = MOST_LINES - len(begin) - len(end)
     entries = [list(_entry(k + 1, f)) for k, f in enumerate(diagnosis.findings)]
@@ -87,6 +88,11 @@ def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     if len(lines) > room:
         lines = [*lines[: room - 1], f"… and {len(lines) - room + 1} more"]
     return [*begin, *lines, *end]
+
+
+def _doubts(diagnosis: Diagnosis) -> Iterator[str]:
+    if diagnosis.doubts:
+        yield f"Doubts: {_few(diagnosis.doubts)}"
 
 
 def _places(diagnosis: Diagnosis) -> Iterator[str]:
@@ -133,9 +139,9 @@ def cautions(diagnosis: Diagnosis) -> list[str]:
     named = {joint for f in diagnosis.findings for joint in f.joints}
     unknown, worse = list[str](), list[str]()
     for joint, end, x in _unseen(diagnosis):
-        if joint not in named and x["after"] > _ABOVE * x["noise"]:
+        if joint not in named and x["after"] > ABOVE * x["noise"]:
             unknown.append(f"{joint} {number(x['after'])}{end}")
-        if x["after"] > _ABOVE * x["least_squares"]:
+        if x["after"] > ABOVE * x["least_squares"]:
             worse.append(f"{joint} {number(x['least_squares'])}{end}")
     said = {"no known cause": unknown, "least squares alone leaves less": worse}
     return [f"{k} at {_few(x, between=', ')}" for k, x in said.items() if x]
@@ -154,9 +160,18 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"On unseen motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
 
 
+def probability(f: Finding) -> list[str]:
+    """How probable it is that the effect or an alternative is there, if known."""
+    if np.isnan(f.probability):
+        return []
+    return [
+        "over 99% probable" if f.probability > 0.99 else f"{f.probability:.0%} probable"
+    ]
+
+
 def _entry(number: int, f: Finding) -> Iterator[str]:
     line = f"{number}. {effect_name(f.effect)} at {listed(f.joints)}: "
-    line += f"{f.share:.0%} of what is explained"
+    line += ", ".join([f"{f.share:.0%} of what is explained", *probability(f)])
     if f.alternatives[1:]:
         line += f"; may as well be {effects_listed(f.alternatives[1:], 'or')}"
     yield line
@@ -198,7 +213,7 @@ def shrink_sentence(kind: str, s: Shrink) -> str:
     change: tuple[float, ...] = (s.removed, *s.interval)
     if s.removed < 0:
         change = (-s.removed, *(-x for x in reversed(s.interval)))
-    size, low, high = (f"{100 * x:.0f}".replace("-", "−") for x in change)
+    size, low, high = (f"{round(100 * x)}".replace("-", "−") for x in change)
     return (
         f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_NO_BREAK}{s.unit}, "
         f"{size}% {'more' if s.removed < 0 else 'less'} (95% interval {low} to {high}%)"
