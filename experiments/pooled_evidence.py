@@ -167,9 +167,9 @@ def known_from_unknown(found: Sequence[Answer]) -> float:
 def main() -> None:
     """Read the reports, print the table, write it with the figure."""
     parser = command_line(__doc__, "pooled_evidence")
-    parser.add_argument("reports", type=Path, nargs="+")
+    parser.add_argument("folders", type=Path, nargs="+")
     args, found, plants = parser.parse_args(), list[Answer](), 0
-    for folder in args.reports:
+    for folder in args.folders:
         content = json.loads((folder / "results.json").read_text("utf-8"))
         usual = "--bare" in content["provenance"]["command"]
         for run in content["runs"]:
@@ -197,7 +197,7 @@ def main() -> None:
     )  # fmt: skip
     Console(width=160).print(terminal_table(table))
     command = "python experiments/pooled_evidence.py " + " ".join(
-        map(str, args.reports)
+        map(str, args.folders)
     )
     with atomic_path(args.out / "table.md") as path:
         path.write_text(f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n")
