@@ -103,14 +103,16 @@ def measures(found: Sequence[Answer]) -> list[tuple[str, Ratio]]:
     alike = [not x.named or _equivalent(x) for x in told]
     missed = [x.verdict == "no_gap" for x in told]
     strict = [not x.named and not m for x, m in zip(told, missed, strict=True)]
-    named = [x for x in one if x.named and x.first]
     return [
         ("cause first, in class", _ratio(x.first for x in one)),
         ("the same, as large", _ratio(x.first for x in large)),
         ("as large: a false one besides", _ratio(len(x.named) > 1 for x in large)),
         ("as large, and nothing is named", _ratio(not x.named for x in large)),
-        ("effect of the first finding is the true one, where its class holds it",
-         _ratio(x.named[0]["effect"] == x.true[0][0] for x in named)),
+        ("as large: the effect itself first",
+         _ratio(x.first and x.named[0]["effect"] == x.true[0][0] for x in large)),
+        ("as large: first at its joint", _ratio(map(_at_joint, large))),
+        ("0.15 to 0.6 of the noise: cause first, in class",
+         _ratio(x.first for x in one if 0.15 <= x.size < 0.6)),
         ("class holds the cause, where something is named at its joint",
          _ratio(x.first for x in one if _at_joint(x))),
         ("two at once: both", _ratio(both)),
@@ -188,6 +190,8 @@ def main() -> None:
                 f"{low:.0%} to {high:.0%}",
             )
         )
+    classes = [len(x.named[0]["class"]) for x in found if x.named]
+    rows.append(("mean size of the first class", f"{np.mean(classes):.2f}", "", ""))
     auroc = f"{known_from_unknown(found):.3f}"
     rows.append(("AUROC of known against withheld causes, as large", auroc, "", ""))
     rows.append(("area under risk over coverage (AURC)", f"{area:.3f}", "", ""))
