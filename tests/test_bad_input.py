@@ -539,3 +539,16 @@ def test_names_in_place_of_effects_are_refused_with_the_way_to_make_effects(verb
     given = [] if verb is simulate else [[]]
     with pytest.raises(HybridError, match="elbow'.*; valid is .*effects_from"):
         verb(arm, *given, effects=["stribeck:elbow"])
+
+
+@pytest.mark.parametrize("given", [3, "ab"])
+def test_names_of_joints_are_a_list_of_names(given):
+    t, q = np.arange(9) / 100.0, np.zeros((9, 2))
+    with pytest.raises(HybridError, match="joints is .*; valid are names"):
+        Recording(t, q, joints=given)
+
+
+def test_what_is_no_sample_is_refused_before_it_changes_anything():
+    tracked = OnlineIdentifier(Robot.load("planar"), rate=100.0)
+    with pytest.raises(HybridError, match="of type ndarray; valid is a Sample"):
+        tracked.update(np.zeros(2))

@@ -223,9 +223,12 @@ class OnlineIdentifier:
             The payload change that was detected with this sample, if any.
 
         Raises:
-            IdentificationError: A sample has the wrong shape, or lacks the speed and
-                acceleration that it needs.
+            IdentificationError: This is no sample, or one of the wrong shape, or it
+                lacks the speed and acceleration that it needs.
         """
+        if not isinstance(sample, Sample):
+            kind = type(sample).__name__
+            raise IdentificationError(f"sample is of type {kind}; valid is a Sample")
         if self._intake is None:
             self._intake = self._start(sample)
         block = self._intake.take(sample)

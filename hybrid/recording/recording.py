@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -54,6 +55,11 @@ class Recording:
             raise self._error(f"q has shape {self.q.shape}; valid is (N, n), n ≥ 1")
         if not self.has_torque:
             set_field(self, "tau", np.full_like(self.q, np.nan))
+        if isinstance(self.joints, str) or not isinstance(self.joints, Iterable):
+            given = repr(self.joints)
+            raise self._error(
+                f"joints is {given}; valid are names, one for each column"
+            )
         names = tuple(str(joint) for joint in self.joints)
         set_field(self, "joints", names or numbered_joints(self.q.shape[1]))
         self._check_shapes()
