@@ -38,7 +38,8 @@ class Answer:
         named: Findings.
         verdict: Verdict.
         withheld: Whether the effect was left out of the library.
-        size: What an only effect adds to the gap of its joint, in units of noise.
+        size: What an only effect adds to the gap of its joint, in units of noise; NaN
+            where that is not known.
     """
 
     true: tuple[tuple[str, str], ...]
@@ -85,7 +86,9 @@ def _answer(run: dict[str, Any], withheld: bool, usual: bool) -> Answer:
     left_out = {"coulomb", "viscous", "armature"} - own if usual else set()
     named = tuple(x for x in run["named"] if x["effect"] not in left_out)
     size = np.nan
-    if len(true) == 1 and run["unseen"] and true[0][1] in run.get("joints", ()):
+    # Beside friction that a file lacks the gap does not tell the size of a fault.
+    known = not usual and run["unseen"] is not None
+    if known and len(true) == 1 and true[0][1] in run["joints"]:
         j = list(run["joints"]).index(true[0][1])
         before, noise = (run["unseen"][x][j] or np.nan for x in ("before", "noise"))
         size = float(np.sqrt(max(before**2 - noise**2, 0.0)) / noise)
