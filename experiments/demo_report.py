@@ -91,7 +91,7 @@ def _summary(validation: Validation) -> str:
     plain, last = validation.reference, validation.rows[-1]
     text = (
         f"Mean RMS torque error on motions that no fit has seen: {last.mean:.3g} N·m "
-        f"instead of {plain.mean:.3g} by {plain.name}, "
+        f"instead of {plain.mean:.3g} by the best linear fit, "
         f"{validation.reduction:.0%} less"
     )
     if validation.noise_floor is not None:
