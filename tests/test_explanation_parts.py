@@ -433,7 +433,7 @@ def test_the_least_probable_effect_is_replaced_by_an_unknown_law():
 
 def test_the_probability_of_no_cause_is_one_of_them():
     options = {x.place: x for x in (sized(A, 1, 2.0), sized(B, 1, 1.0))}
-    found = Belief.of(A, 2.0, options, (), 0.95)
+    found = Belief.of(A, 2.0, options, (), 0.01)
     whole = 1.0 + np.exp(2.0) + np.exp(1.0)
     (own, p), (other, q) = found.alternatives
     assert (own.place, other.place) == (A.place, B.place)
@@ -444,7 +444,7 @@ def test_the_probability_of_no_cause_is_one_of_them():
 def test_alternatives_come_by_their_probability_after_the_cause_itself():
     worth = {A: 1.0, B: 0.5, C: 2.0}
     options = {made.place: sized(made, 1, x) for made, x in worth.items()}
-    found = Belief.of(A, 1.0, options, (), 0.95)
+    found = Belief.of(A, 1.0, options, (), 0.01)
     assert [x.place for x, _ in found.alternatives] == [A.place, C.place, B.place]
 
 

@@ -179,7 +179,8 @@ def _scored(answer: tuple[Result, float, Causes], sealed: Path) -> Row:
     row: Row = {
         "truth": truth,
         "cpu_s": seconds,
-        **{k: found[k] for k in ("verdict", "unexplained", "background")},
+        **{k: found[k] for k in ("verdict", "background")},
+        "unexplained": found["unknown"],
         "where": [region["joint"] for region in found["where"]],
         "findings": [{k: f[k] for k in kept} for f in found["findings"]],
         **score(truth, named_causes(found)),

@@ -47,7 +47,7 @@ class Named:
 def named_causes(diagnosis: Mapping[str, Any]) -> tuple[Named, ...]:
     """The causes of a diagnosis in the form of its JSON, first first."""
     return tuple(
-        Named(f["effect"], tuple(f["joints"]), tuple(f["class"]))
+        Named(f["effect"], tuple(f["joints"]), tuple(x["effect"] for x in f["class"]))
         for f in diagnosis["findings"]
     )
 

@@ -27,7 +27,7 @@ class Prior:
             may exceed the upper half in noise.
         probable: Probability of a known effect in the place of a cause, above which the
             cause is named.
-        class_mass: Probability that the effects of a class hold together.
+        alternative: Least probability of an effect that may take another's place.
     """
 
     cause: float = 10.0
@@ -43,4 +43,4 @@ class Prior:
     most_repeated: int = 3
     slow_share: float = 0.33
     probable: float = 0.5
-    class_mass: float = 0.95
+    alternative: float = 0.01

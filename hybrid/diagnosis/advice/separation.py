@@ -32,7 +32,6 @@ from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.regression.problem import part
 
-_ODDS = 100.0  # to one, by which an experiment tells two effects apart
 _ITERATIONS = 4  # of the gain of a linearised effect
 _LONG_WAVES = 6  # per turn
 
@@ -300,7 +299,7 @@ class Discrimination:
 def required_evidence(evidence: float) -> float:
     """Difference of evidence that distinguishes an explanation from another, [nat]."""
     prior = Prior()
-    return float(max(np.log(_ODDS), prior.law_error * evidence))
+    return float(max(-np.log(prior.alternative), prior.law_error * evidence))
 
 
 def _joined(parts: Sequence[Sequence[Array]]) -> list[Array]:

@@ -44,24 +44,24 @@ class Belief:
         worth: float,
         options: Mapping[Place, Proposal],
         twins: Collection[Place],
-        mass: float,
+        least: float,
         limit: str | None = None,
     ) -> Belief:
         """Normalise the probabilities of the options in place of a cause, and of none.
 
-        The most probable ones that hold a mass together are alternatives. So are twins,
-        options with the same torque and another prior.
+        Twins are options with the same torque, and another prior. They are alternatives
+        even below the least probability.
         """
         known = list(options.values())
         nat = np.array([0.0, *(x.worth for x in known)])
         part = np.exp(nat - nat.max())
         part /= part.sum()
         ranked = sorted(zip(known, part[1:], strict=True), key=lambda x: -x[1])
-        before = np.cumsum([0.0, *(p for _, p in ranked)])
-        within = [x for x, held in zip(ranked, before, strict=False)
-                  if held < mass or x[0].place in twins]  # fmt: skip
         own = [x for x in ranked if x[0].place == cause.place]
-        others = [x for x in within if x[0].place != cause.place]
+        others = [
+            x for x in ranked
+            if x[0].place != cause.place and (x[1] >= least or x[0].place in twins)
+        ]  # fmt: skip
         likely = sum(p for x, p in ranked if x.candidate is not None)
         return cls(cause, worth, (*own, *others), float(likely), limit)
 
@@ -92,8 +92,8 @@ def beliefs(search: Search) -> list[Belief]:
             if not _independent(search, cause, x):
                 options.setdefault(x.place, x)
         twins = {place for place, x in options.items() if _twin(search, cause, x)}
-        limit, mass = _limit(search, cause, rest), search.prior.class_mass
-        found.append(Belief.of(cause, worth, options, twins, mass, limit))
+        limit, least = _limit(search, cause, rest), search.prior.alternative
+        found.append(Belief.of(cause, worth, options, twins, least, limit))
     return found
 
 
