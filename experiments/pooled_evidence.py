@@ -56,8 +56,11 @@ class Answer:
 
     @property
     def certain(self) -> float:
-        """Probability of the first finding; 0 without one."""
-        return (self.named[0]["probability"] or 1.0) if self.named else 0.0
+        """Probability of the first finding; 0 without one, 1 where it has none."""
+        if not self.named:
+            return 0.0
+        found = self.named[0]["probability"]
+        return 1.0 if found is None else float(found)  # of a command: none is computed
 
 
 def answers(run: Any, usual: bool) -> Iterator[Answer]:
