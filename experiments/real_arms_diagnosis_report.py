@@ -72,7 +72,9 @@ def said(score: Score) -> str:
         f"{score.arm}: {d.verdict}, {d.unexplained:.1%} of the explainable gap left; "
         f"{score.seconds[0]:.0f} + {score.seconds[1]:.0f} s of processor time"
     )
-    return "\n".join([head, *(" ".join(_cells(f, d)) for f in d.findings), *d.warnings])
+    return "\n".join(
+        [head, *(" ".join(_cells(f, d)) for f in d.findings), *d.doubts, *d.warnings]
+    )
 
 
 def in_words(score: Score) -> str:
@@ -88,6 +90,7 @@ def in_words(score: Score) -> str:
     gaps = gap_table(score)
     text += f"{gaps.caption}.\n\n{markdown_table(gaps)}\n"
     for title, lines in (
+        ("Doubts", d.doubts),
         ("Warnings", d.warnings),
         ("Not excited", d.not_excited),
         ("To run next", [f"{a.experiment} ({', '.join(a.splits)})" for a in d.advice]),
