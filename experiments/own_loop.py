@@ -137,15 +137,19 @@ class OwnLoop:
         tau = tau + NOISE * self.rated * self.rng.standard_normal(tau.shape)
         return Recording(t, q, tau=tau, command=command, joints=robot.joints)
 
+    def _transmitted(self, j: int) -> float:
+        """Torque that a gear passes on to the links, [N·m], as of the last step."""
+        d, k, inertial = self.data, self.at_v[j], np.zeros(self.model.nv)
+        mujoco.mj_mulM(self.model, d, inertial, d.qacc)
+        rotor = self.model.dof_armature[k] * d.qacc[k]
+        return float(inertial[k] - rotor + d.qfrc_bias[k])
+
     def _act(self, fault: Fault, given: np.ndarray, t: float) -> None:
         """What a fault makes of the torques that the drives are given, for a step."""
         d, j = self.data, fault.j
-        q, v, load = (
-            float(x) for x in (
-                d.qpos[self.at_q[j]], d.qvel[self.at_v[j]], d.qfrc_bias[self.at_v[j]])
-        )  # fmt: skip
+        q, v = float(d.qpos[self.at_q[j]]), float(d.qvel[self.at_v[j]])
         given[j] = fault.delivered(given[j], q, STEP)
-        given[j] += fault.pushed(t, q, v, load, STEP)
+        given[j] += fault.pushed(t, q, v, self._transmitted(j), STEP)
         if fault.touches(t):
             jacobian = np.zeros((3, self.model.nv))
             body = self.model.body(self.robot.joints[-1]).id
