@@ -33,6 +33,7 @@ class Fault:
         self.kind, self.j = kind, j
         self.R, self.V = scale.torque, scale.speed
         self.limit = np.inf  # of torque, if it saturates
+        self.inertia = np.nan  # kg·m², that its joint feels
         push = 0.3 * rated[: min(2, len(rated))].max()
         self.force = push * np.array([0.5, -0.3, 0.8])  # N, of a contact
         self.begin()
@@ -49,7 +50,7 @@ class Fault:
             robot: The file that it is of.
             inertia: What its joint feels, [kg·m²].
         """
-        name = robot.joints[self.j]
+        name, self.inertia = robot.joints[self.j], inertia
         joint, body = spec.joint(name), spec.body(name)
         match self.kind:
             case "coulomb":
@@ -83,6 +84,35 @@ class Fault:
                 else:
                     twist.limited, twist.range = True, [-0.0012, 0.0012]
                     twist.solref_limit = [0.002, 1.0]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters of the library's effect of its name, where both laws agree."""
+        R, V = self.R, self.V
+        return {
+            "coulomb": {"level": 0.05 * R},
+            "viscous": {"coefficient": 0.06 * R / V},
+            "armature": {"inertia": 0.5 * self.inertia},
+            "backlash": {"half_width": 0.0012},
+            "torque_gain": {"gain": 0.12},
+            "torque_offset": {"level": 0.04 * R},
+            "saturation": {"limit": self.limit},
+            "deadzone": {"width": 0.05 * R},
+            "torque_ripple": {
+                "sine": -0.03 * R * np.cos(1.0), "cosine": -0.03 * R * np.sin(1.0),
+            },
+            "stribeck": {"level": 0.07 * R, "velocity": 0.08 * V},
+            "asymmetric_friction": {"level": 0.03 * R},
+            "load_friction": {"coefficient": 0.12},
+            "thermal_friction": {"cold": 0.1 * R / V, "time_constant": 6.0},
+            "presliding": {"level": 0.06 * R, "distance": 0.02},
+            "spring": {"stiffness": 0.08 * R, "preload": -0.016 * R},
+            "delay": {"time": 0.008},
+            "encoder_offset": {"offset": 0.03},
+            "encoder_eccentricity": {
+                "sine": 0.012 * np.cos(0.7), "cosine": 0.012 * np.sin(0.7),
+            },
+        }.get(self.kind, {})  # fmt: skip
 
     def sense(self, q: np.ndarray) -> None:
         """Turn positions of all joints into what the encoders show."""

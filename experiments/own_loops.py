@@ -21,6 +21,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+import numpy as np
 from blind.robots import load_arm
 from outputs import command_line
 from own_fault import KINDS
@@ -29,6 +30,7 @@ from own_motion import Make
 from rich.console import Console
 
 from hybrid import Diagnosis, diagnose
+from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.files import atomic_path
 from hybrid.plant import random_fourier
@@ -65,7 +67,10 @@ def run(
     loop = OwnLoop(load_arm(arm), kinds, seed, motion)
     logs = [loop.record() for _ in range(RECORDINGS)]
     robot, start = bare(loop.robot) if left_out else loop.robot, process_time()
-    said = {"arm": Path(arm).stem, "true": loop.named, "joints": robot.joints}
+    said = {
+        "arm": Path(arm).stem, "true": loop.named, "joints": robot.joints,
+        "sizes": sizes(arm, kinds, seed, motion),
+    }  # fmt: skip
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HybridWarning)
         try:
@@ -77,11 +82,30 @@ def run(
             }  # fmt: skip
     return said | {
         "verdict": found.verdict,
-        "named": named(found), "relative": found.relative,
+        "named": named(found), "intervals": intervals(found, loop),
+        "relative": found.relative,
         "unexplained": found.unexplained,
         "unseen": found.unseen and plain(asdict(found.unseen)),
         "cpu_s": process_time() - start,
     }  # fmt: skip
+
+
+def sizes(
+    arm: str, kinds: tuple[str, ...], seed: int, motion: Make = random_fourier
+) -> list[float]:
+    """What each fault alone adds to the gap, at most at a joint, in units of noise.
+
+    The noise is the gap of the loop without faults, small errors of its file included.
+    The gap is of the motion that is driven: that a fault changes the motion is none.
+    """
+    squares = []
+    for only in ((), *((k,) for k in range(len(kinds)))):
+        loop = OwnLoop(load_arm(arm), kinds, seed, motion, only)
+        loop.rng = np.random.default_rng(seed)  # the same reference, and noise
+        gap = measure_gap(loop.robot, [loop.record() for _ in range(RECORDINGS)])
+        squares.append(np.mean(gap.left**2, axis=0))
+    more = [np.maximum(x / squares[0] - 1.0, 0.0) for x in squares[1:]]
+    return [float(np.sqrt(x.max())) for x in more]
 
 
 def named(found: Diagnosis) -> list[dict[str, Any]]:
@@ -95,6 +119,18 @@ def named(found: Diagnosis) -> list[dict[str, Any]]:
             "probability": plain(f.probability),
         }
         for f in found.findings
+    ]
+
+
+def intervals(found: Diagnosis, loop: OwnLoop) -> list[list[Any]]:
+    """Effect, parameter, true value and 95 % interval of each that is known."""
+    return [
+        [f.effect, x.name, fault.values[x.name], *x.interval]
+        for fault in loop.faults
+        for f in found.findings
+        for x in f.parameters
+        if f.effect == fault.kind and x.joint == loop.robot.joints[fault.j]
+        if x.name in fault.values
     ]
 
 

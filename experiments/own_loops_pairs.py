@@ -16,14 +16,11 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
-from blind.robots import load_arm
 from outputs import command_line
 from own_fault import IN_COMMAND, KINDS
-from own_loop import OwnLoop
-from own_loops import RECORDINGS, counted, run, write_report
+from own_loops import counted, run, write_report
 from rich.console import Console
 
-from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.report import Table
 
 
@@ -43,23 +40,7 @@ def outcome(found: dict[str, Any]) -> str:
 def pair(job: tuple[str, tuple[str, ...], int]) -> dict[str, Any]:
     """Diagnose two faults on an arm."""
     found = run(*job)
-    return found | {"outcome": outcome(found), "sizes": sizes(*job)}
-
-
-def sizes(arm: str, kinds: tuple[str, ...], seed: int) -> list[float]:
-    """What each fault alone adds to the gap, at most at a joint, in units of noise.
-
-    The noise is the gap of the loop without faults. The gap is of the motion that is
-    driven: that a fault changes the motion is none.
-    """
-    robot, squares = load_arm(arm), []
-    for only in ((), *((k,) for k in range(len(kinds)))):
-        loop = OwnLoop(robot, kinds, seed, only=only)
-        loop.rng = np.random.default_rng(seed)  # the same reference, and noise
-        gap = measure_gap(loop.robot, [loop.record() for _ in range(RECORDINGS)])
-        squares.append(np.mean(gap.left**2, axis=0))
-    more = [np.maximum(x / squares[0] - 1.0, 0.0) for x in squares[1:]]
-    return [float(np.sqrt(x.max())) for x in more]
+    return found | {"outcome": outcome(found)}
 
 
 def draw(arms: list[str], count: int, seed: int) -> Iterator[tuple[Any, ...]]:

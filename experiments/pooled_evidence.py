@@ -4,7 +4,8 @@ The runs of ``own_loops``, bare and not, ``own_loops_pairs``, ``own_loops_withhe
 ``own_loops_motions`` and ``healthy_arms`` are read from their reports. A table has a
 share with its Wilson interval for each question, and a figure how often the first cause
 is wrong among the most certain answers (risk over coverage). "As large" is an effect
-that adds at least the noise to the gap of its joint, on motions that no step has seen.
+that adds as much to the gap of a joint as is there without it: noise, and small errors
+of the file.
 
     python experiments/pooled_evidence.py FOLDER FOLDER
 """
@@ -38,8 +39,8 @@ class Answer:
         named: Findings.
         verdict: Verdict.
         withheld: Whether the effect was left out of the library.
-        size: What an only effect adds to the gap of its joint, in units of noise; NaN
-            where that is not known.
+        size: What an only effect adds to the gap, at most at a joint, in units of the
+            gap that is there without it: noise, and small errors of the file.
     """
 
     true: tuple[tuple[str, str], ...]
@@ -47,6 +48,7 @@ class Answer:
     verdict: str
     withheld: bool
     size: float
+    intervals: tuple[tuple[float, float, float], ...] = ()
 
     @property
     def first(self) -> bool:
@@ -88,14 +90,9 @@ def _answer(run: dict[str, Any], withheld: bool, usual: bool) -> Answer:
     own = {kind for kind, _ in true}
     left_out = {"coulomb", "viscous", "armature"} - own if usual else set()
     named = tuple(x for x in run["named"] if x["effect"] not in left_out)
-    size = np.nan
-    # Beside friction that a file lacks the gap does not tell the size of a fault.
-    known = not usual and run["unseen"] is not None
-    if known and len(true) == 1 and true[0][1] in run["joints"]:
-        j = list(run["joints"]).index(true[0][1])
-        before, noise = (run["unseen"][x][j] or np.nan for x in ("before", "noise"))
-        size = float(np.sqrt(max(before**2 - noise**2, 0.0)) / noise)
-    return Answer(true, named, run["verdict"], withheld, size)
+    size = run["sizes"][0] if len(true) == 1 else np.nan
+    known_values = tuple((x[-3], x[-2], x[-1]) for x in run.get("intervals", ()))
+    return Answer(true, named, run["verdict"], withheld, size, known_values)
 
 
 def measures(found: Sequence[Answer]) -> list[tuple[str, Ratio]]:
@@ -109,6 +106,7 @@ def measures(found: Sequence[Answer]) -> list[tuple[str, Ratio]]:
     alike = [not x.named or _equivalent(x) for x in told]
     missed = [x.verdict == "no_gap" for x in told]
     strict = [not x.named and not m for x, m in zip(told, missed, strict=True)]
+    values = [x for a in found for x in a.intervals]
     return [
         ("cause first, in class", _ratio(x.first for x in one)),
         ("the same, as large", _ratio(x.first for x in large)),
@@ -121,6 +119,8 @@ def measures(found: Sequence[Answer]) -> list[tuple[str, Ratio]]:
          _ratio(x.first for x in one if 0.15 <= x.size < 0.6)),
         ("class holds the cause, where something is named at its joint",
          _ratio(x.first for x in one if _at_joint(x))),
+        ("95 % interval of a parameter holds its value",
+         _ratio(low <= true <= high for true, low, high in values)),
         ("two at once: both", _ratio(both)),
         ("healthy: something is named", _ratio(bool(x.named) for x in sound)),
         ("withheld, a gap is told or as large: abstains or equivalent",
@@ -196,6 +196,12 @@ def main() -> None:
                 f"{low:.0%} to {high:.0%}",
             )
         )
+    off = [
+        3.92 * (true - (low + high) / 2) / (high - low)
+        for a in found for true, low, high in a.intervals if high > low
+    ]  # fmt: skip
+    spread = f"{np.sqrt(np.mean(np.square(off))):.2f}" if off else "–"
+    rows.append(("RMS error of a parameter, standard deviations", spread, "", ""))
     classes = [len(x.named[0]["class"]) for x in found if x.named]
     rows.append(("mean size of the first class", f"{np.mean(classes):.2f}", "", ""))
     auroc = f"{known_from_unknown(found):.3f}"

@@ -158,7 +158,7 @@ def test_numbers_of_a_file_that_are_far_off_are_said_and_no_silence():
         else:
             assert found.verdict == "unexplained"
             (said,) = found.doubts
-            assert "the numbers of the file have errors of about 5%" in said
+            assert "masses and inertias of the file are off by about 5%" in said
 
 
 def test_torque_of_another_clock_is_taken_back_and_named():

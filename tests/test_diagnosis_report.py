@@ -342,6 +342,17 @@ class TestVerdict:
         nothing = replace(found, findings=(), verdict="unexplained", unexplained=1.0)
         assert headline(nothing) == "No known cause of the gap at shoulder and elbow"
 
+    def test_a_gap_by_usual_errors_of_the_file_is_stated(self):
+        sound = replace(
+            planar().diagnosis, findings=(), verdict="no_gap", unexplained=0.0,
+            rms=(0.05, 0.06), noise_floor=(0.05, 0.0123),
+        )  # fmt: skip
+        text = headline(sound)
+        assert text.startswith("The simulator fits the robot within the usual errors ")
+        assert text.endswith("at elbow: 0.06\u00a0N·m, noise 0.0123")
+        quiet = replace(sound, noise_floor=(0.05, 0.06))
+        assert headline(quiet) == "The simulator fits the robot"
+
     def test_it_says_what_cannot_be_told_apart(self):
         text = "\n".join(verdict_lines(replace(planar().diagnosis, findings=many(1))))
         assert "1. Coulomb at joint_0" in text and "may as well be spring" in text

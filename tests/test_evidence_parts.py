@@ -15,7 +15,7 @@ from hybrid.diagnosis.evidence.candidates import (
     _grid,
     candidate,
     candidates,
-    fine_candidates,
+    gain_grid,
     nominal,
     same_columns,
     scale_of,
@@ -49,6 +49,7 @@ from hybrid.diagnosis.evidence.refine import (
     fit_shift,
     gain,
     refine,
+    scan_gain,
 )
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import Range, fit_shapes, price
@@ -196,14 +197,6 @@ def test_what_a_motion_suggests_is_tried_within_the_range():
     np.testing.assert_allclose(ratio, np.log(bounds.upper / bounds.lower) / 8)
 
 
-def test_a_long_log_is_scanned_over_fewer_gains():
-    gap = gap_of(count=1, seconds=4.0)
-    for samples, count in ((8e5 / 50, 40), (8e5 / 30, 30), (8e5 / 10, 20)):
-        long = replace(gap, motions=(SimpleNamespace(t=np.zeros(int(samples))),))
-        long.__dict__["scales"] = gap.scales
-        assert len(fine_candidates(long, Backlash, (0,))) == count
-
-
 def test_the_usual_effects_are_at_every_joint_and_none_that_is_left_out():
     gap = gap_of(size=2)
     places = [c.place for c in usual(gap)]
@@ -331,18 +324,13 @@ def test_candidates_are_ranked_by_what_they_gain_less_their_price():
     assert len(less) == len(ranked) - 1
 
 
-def test_steep_effects_are_added_at_joints_with_a_gap():
-    for level, more in ((1.0, 1), (0.0, 0)):
-        pool = pool_of(gap_of(Coulomb((0,), {"level": level})), ("coulomb", "backlash"))
-        pool.evidence.noise[:] = 0.02**2
-        before = len(pool.tried)
-        pool.add_steep(np.zeros(0, dtype=np.intp))
-        assert len(pool.tried) - before == more
-        if more:
-            fine = fine_candidates(pool.gap, Backlash, (0,))
-            worth = [gain(pool.evidence, np.zeros(0, dtype=np.intp), c) for c in fine]
-            last = pool.tried[-1].candidate.effect
-            assert last.values == fine[int(np.argmax(worth))].effect.values
+def best_of_grid(evidence, finer):
+    """The best play of a grid of widths, which is finer than that of the search."""
+    none = np.zeros(0, dtype=np.intp)
+    grid = gain_grid(Backlash.gains[0].scaled(evidence.gap.scales[0]))
+    fine = np.geomspace(grid[0], grid[-1], finer * (len(grid) - 1) + 1)
+    each = [candidate(evidence.gap, Backlash((0,), {"half_width": x})) for x in fine]
+    return max(each, key=lambda c: gain(evidence, none, c))
 
 
 # --- fits of shapes and gains ---------------------------------------------------------
@@ -365,16 +353,19 @@ def test_a_shape_is_fitted_and_a_candidate_is_worth_what_it_adds():
     assert found.prior_factor == trial.prior_factor
 
 
-def test_the_width_of_play_is_scanned_near_its_own():
+def test_the_width_of_play_is_scanned_between_those_of_the_grid():
     gap = gap_of(Coulomb((0,), {"level": 0.3}))
     evidence, none = Evidence(gap), np.zeros(0, dtype=np.intp)
     evidence.noise[:] = 0.02**2
-    fine = fine_candidates(gap, Backlash, (0,))
-    start = max(fine, key=lambda c: gain(evidence, none, c))
-    found, worth = refine(evidence, none, start)
-    width = start.effect.values["half_width"]
-    assert 1 / 1.16 < found.effect.values["half_width"] / width < 1.16
-    assert worth >= gain(evidence, none, start) - 1e-9
+    coarse, fine = (best_of_grid(evidence, finer) for finer in (1, 8))
+    found = scan_gain(evidence, none, coarse)
+    assert gain(evidence, none, found) >= gain(evidence, none, fine) - 0.1
+    below, above, *_ = gain_grid(Backlash.gains[0].scaled(gap.scales[0]))
+    ratio = found.effect.values["half_width"] / coarse.effect.values["half_width"]
+    assert below / above < ratio < above / below
+    refined, worth = refine(evidence, none, coarse)
+    assert worth == pytest.approx(gain(evidence, none, refined))
+    assert worth >= gain(evidence, none, found) - 1e-9
 
 
 def late_evidence(late):

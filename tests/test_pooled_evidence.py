@@ -12,11 +12,10 @@ def finding(effect, joint="elbow", probability=0.9, others=()):
     }  # fmt: skip
 
 
-def run(kind, *named, before=2.0, verdict="explained"):
-    unseen = {"before": [before], "noise": [1.0]}
+def run(kind, *named, size=1.7, verdict="explained"):
     return {
         "true": [[kind, "elbow"]], "joints": ["elbow"], "named": list(named),
-        "verdict": verdict, "unseen": unseen,
+        "verdict": verdict, "sizes": [size],
     }  # fmt: skip
 
 
@@ -34,7 +33,7 @@ def test_a_cause_counts_at_its_joint_and_in_its_class():
         run("coulomb", finding("stribeck", others=["coulomb"])),
         run("coulomb", finding("coulomb", "wrist")),
         run("coulomb", finding("viscous")),
-        run("coulomb", verdict="unexplained", before=1.1),
+        run("coulomb", verdict="unexplained", size=0.4),
     )
     assert share(found, "cause first, in class") == (1, 4)
     assert share(found, "the same, as large") == (1, 3)
@@ -49,12 +48,23 @@ def test_friction_of_a_file_without_any_is_no_false_cause():
 
 
 def test_silence_about_a_withheld_effect_is_a_miss_if_the_effect_is_large():
-    quiet = run("delay", verdict="no_gap"), run("delay", verdict="no_gap", before=1.1)
+    quiet = run("delay", verdict="no_gap"), run("delay", verdict="no_gap", size=0.4)
     told = run("delay", verdict="unexplained"), run("delay", finding("actuator_lag"))
     found = pooled(*({"withheld": x, "added": x} for x in (*quiet, *told)))
     name = "withheld, a gap is told or as large: abstains or equivalent"
     assert share(found, name) == (2, 3)
     assert share(found, "the same, strictly") == (1, 3)
+
+
+def test_an_interval_holds_a_value_between_its_ends():
+    found = pooled(
+        run("coulomb", finding("coulomb"))
+        | {"intervals": [["coulomb", "level", 1.0, 0.9, 1.1]]},
+        run("viscous", finding("viscous"))
+        | {"intervals": [["viscous", "coefficient", 2.0, 0.9, 1.1]]},
+        run("delay", finding("delay")),
+    )
+    assert share(found, "95 % interval of a parameter holds its value") == (1, 2)
 
 
 def test_risk_is_of_the_most_certain_answers():

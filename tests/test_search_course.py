@@ -482,7 +482,7 @@ def test_parts_of_a_servo_s_log_have_its_samples():
     )
     k = len(twice.row) // 2000
     assert twice.thin.row.tolist() == twice.row[::k].tolist() and k >= 2
-    assert LATENCIES[0] == 0.0 and len(LATENCIES) == 200
+    assert LATENCIES[0] == 0.0 and 0.19 < LATENCIES[-1] < 0.2
 
 
 def test_laws_are_of_every_feed_forward_with_the_speed_of_the_command_or_without():

@@ -53,11 +53,11 @@ _UNTESTED = (
     "on unseen motions"
 )
 _FILE_ERRORS = (
-    "the numbers of the file have errors of about {:.0%}, which are a gap themselves: "
+    "masses and inertias of the file are off by about {:.0%}, a gap by themselves: "
     "smaller errors of single links cannot be found"
 )
 _PLACEHOLDERS = (
-    "the numbers of the file look like placeholders, far from those of the logs: "
+    "masses and inertias of the file look like placeholders, far from the arm's: "
     "errors of single links cannot be found"
 )
 _DOUBTFUL = (

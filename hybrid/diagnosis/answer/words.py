@@ -43,11 +43,23 @@ def headline(diagnosis: Diagnosis) -> str:
     ]
     where = joints_named(gap_joints(diagnosis))
     text = {
-        "no_gap": "the simulator fits the robot",
+        "no_gap": _fits(diagnosis),
         "not_excited": "the recordings move the arm too little to tell",
         "unexplained": f"no known cause of the gap at {where}",
     }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {_rest(diagnosis)}")
     return text[:1].upper() + text[1:]
+
+
+def _fits(diagnosis: Diagnosis) -> str:
+    """That there is no gap, or that small errors of the simulator's numbers are one."""
+    fits = "the simulator fits the robot"
+    for joint in gap_joints(diagnosis)[:1]:
+        k = diagnosis.joints.index(joint)
+        size = f"{number(diagnosis.rms[k])}{_NO_BREAK}{_unit(diagnosis, k)}"
+        noise = number(diagnosis.noise_floor[k])
+        fits += " within the usual errors of its numbers, which add most at "
+        fits += f"{joint}: {size}, noise {noise}"
+    return fits
 
 
 def _rest(diagnosis: Diagnosis) -> str:

@@ -16,8 +16,7 @@ from hybrid.robot.spatial import link_spread
 Place = tuple[str, tuple[int, ...]]  # id of an effect, and its joints
 
 _GRID, _COARSE = 7, 4  # values of the first shape, and of each other one
-_GAINS, _FINE = 14, 40  # gains of an effect that is scanned over its gain
-_MOST_SCANNED = 8e5  # samples times gains: a long log is scanned over fewer gains
+_GAINS = 14  # of a steep effect
 _LEAST_GAIN = 30.0  # typical gain over the smallest one of the scan
 
 
@@ -93,18 +92,12 @@ def candidate(gap: Gap, effect: Effect) -> Candidate:
     return Candidate(effect, *effect.prior(nominal(gap.robot), scale_of(gap, effect)))
 
 
-def fine_candidates(
-    gap: Gap, cls: type[Effect], joints: tuple[int, ...]
-) -> list[Candidate]:
-    """A steep effect at one place, on a fine grid of its gain."""
-    samples = sum(len(motion.t) for motion in gap.motions)
-    count = int(np.clip(_MOST_SCANNED / samples, _FINE / 2, _FINE))
-    return [candidate(gap, e) for e in _grid(cls, joints, gap, gains=count)]
+def gain_grid(gain: Quantity) -> Array:
+    """Gains at which a steep effect is tried, in equal ratios, shape (14,)."""
+    return np.geomspace(gain.typical / _LEAST_GAIN, gain.upper, _GAINS)
 
 
-def _grid(
-    cls: type[Effect], joints: tuple[int, ...], gap: Gap, *, gains: int = _GAINS
-) -> Iterator[Effect]:
+def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effect]:
     scale = gap.scales[joints[-1]]
     shapes = [s.scaled(scale) for s in cls.shapes]
     axes = [_axis(s, _COARSE if k else _GRID) for k, s in enumerate(shapes)]
@@ -112,7 +105,7 @@ def _grid(
         # Its shapes stay at typical values here, and are fitted on the shortlist.
         (gain,) = (g.scaled(scale) for g in cls.gains)
         axes = [np.array([s.typical]) for s in shapes]
-        axes += [np.geomspace(gain.typical / _LEAST_GAIN, gain.upper, gains)]
+        axes.append(gain_grid(gain))
         shapes.append(gain)
     for values in product(*axes):
         named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}

@@ -11,17 +11,13 @@ from hybrid.diagnosis.evidence.candidates import (
     Term,
     candidate,
     candidates,
-    fine_candidates,
     same_columns,
 )
 from hybrid.diagnosis.evidence.contacts import Contacts
 from hybrid.diagnosis.evidence.evidence import Evidence
-from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.diagnosis.prior import Prior
-from hybrid.effects import effect_classes
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 
@@ -104,16 +100,6 @@ class Pool:
             return []
         found = self._contacts.strongest(left, evidence.rows, evidence.noise, count)
         return [candidate(self.gap, c) for c in found]
-
-    def add_steep(self, base: Index) -> None:
-        """Add steep effects at their best gain beside a base, at joints with a gap."""
-        worth = {c.place: x for c, x in reversed(self.ranked(base))}
-        with_gap = {at[-1] for (_, at), x in worth.items() if x > Prior.cause}
-        for effect_id, joints in worth:
-            cls = effect_classes()[effect_id]
-            if cls.steep and joints[-1] in with_gap:
-                fine = fine_candidates(self.gap, cls, joints)
-                self._add([max(fine, key=lambda c: gain(self.evidence, base, c))])
 
     def ranked(
         self, base: Index, taken: Collection[Place] = (), less: Index | None = None

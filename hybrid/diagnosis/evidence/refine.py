@@ -1,13 +1,17 @@
 """Fit of the shapes of a candidate, and of gains in which it is not linear."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from hybrid.arrays import Index
-from hybrid.diagnosis.evidence.candidates import Candidate, scale_of, with_gains
+from hybrid.diagnosis.evidence.candidates import (
+    Candidate,
+    gain_grid,
+    scale_of,
+    with_gains,
+)
 from hybrid.diagnosis.evidence.evidence import Evidence, Trial
 from hybrid.diagnosis.evidence.shapes import fit_shapes, price, shape_derivatives
 from hybrid.effects import Effect
@@ -15,8 +19,7 @@ from hybrid.effects import Effect
 _EXACT_PASSES = 4  # of a linearisation at the last gains
 _SHAPE_STD = 0.3  # prior standard deviation of a shape, of its range
 _SHORTER, _LONGER = 0.5, 2.0  # factors of a time shift that is searched
-_SHIFTS, _FINE = 15, 0.003  # evaluations; tolerance, as a part of the shift
-_STEP, _SCAN = 1.15, 9  # factor to either side of a steep gain; evaluations
+_SHIFTS, _SCAN, _FINE = 15, 12, 0.003  # evaluations; tolerance of a time and a gain
 
 
 def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, float]:
@@ -29,7 +32,7 @@ def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, fl
     def worth(effect: Effect) -> float:
         return gain(evidence, base, replace(c, effect=effect))
 
-    first = _scan_gain(evidence, base, c, worth) if c.effect.steep else c.effect
+    first = scan_gain(evidence, base, c).effect if c.effect.steep else c.effect
     start = worth(first)
     effect, best = fit_shapes(first, worth, evidence.gap)
     if best < start:
@@ -94,32 +97,31 @@ def fit_shift(
     return effect.at({name: float(found.x)})
 
 
-def _scan_gain(
-    evidence: Evidence, base: Index, c: Candidate, worth: Callable[[Effect], float]
-) -> Effect:
-    """Fit the gain of a steep effect near its own.
+def scan_gain(evidence: Evidence, base: Index, c: Candidate) -> Candidate:
+    """A steep effect with the best gain, from one value of the grid to the other.
 
     Above the visible band its torque is proportional to the gain.
     """
-    (own,), (now,) = c.effect.gains, c.effect.gain_values
-    bounds = own.scaled(scale_of(evidence.gap, c.effect))
+    (own,), (now,), gap = c.effect.gains, c.effect.gain_values, evidence.gap
+    bounds = own.scaled(scale_of(gap, c.effect))
+    below, above, *_ = np.log(gain_grid(bounds))
 
-    def at(power: float) -> Effect:
-        value = float(np.clip(now * _STEP**power, bounds.lower, bounds.upper))
-        return c.effect.at({own.name: value})
+    def at(log: float) -> Candidate:
+        value = float(np.clip(now * np.exp(log), bounds.lower, bounds.upper))
+        return replace(c, effect=c.effect.at({own.name: value}))
 
     found = minimize_scalar(
-        lambda x: -worth(at(x)),
-        bounds=(-1.0, 1.0),
+        lambda x: -gain(evidence, base, at(x)),
+        bounds=(below - above, above - below),
         method="bounded",
-        options={"maxiter": _SCAN, "xatol": 0.02},
+        options={"maxiter": _SCAN, "xatol": _FINE},
     )
     best = at(found.x)
-    if not evidence.gap.is_above_band(best):
+    if not gap.is_above_band(best.effect):
         return best
-    columns = evidence.gap.columns(best)
-    (gain,) = evidence.trial(base, columns, c.std, c.lower).gains
-    return best.at({own.name: float(np.clip(gain, bounds.lower, bounds.upper))})
+    (value,) = evidence.trial(base, gap.columns(best.effect), c.std, c.lower).gains
+    value = float(np.clip(value, bounds.lower, bounds.upper))
+    return replace(c, effect=best.effect.at({own.name: value}))
 
 
 def add_shape_derivatives(evidence: Evidence, effect: Effect) -> Index:

@@ -85,7 +85,6 @@ class Posterior:
         self.noise = NoiseModel(self.evidence, self.prior)
         self._set_noise()
         self.pool.add_contacts(self.rigid)
-        self.pool.add_steep(self.rigid)
         self.laws = UnknownLaws(self.evidence, self.rigid, self.prior)
         self._causes: dict[tuple[object, ...], Cause] = {}
 

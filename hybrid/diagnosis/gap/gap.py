@@ -41,8 +41,8 @@ class Gap:
         left: The gap, shape (M, n), [N·m].
         moving: Whether a sample is used: the joint moves and the mask allows it,
             shape (M, n).
-        fold: Cross-validation fold of each sample, shape (M,): a trajectory, or blocks
-            of 3 s where there are fewer than four trajectories.
+        fold: Cross-validation fold of each sample, shape (M,): blocks of 3 s or less.
+            What acts in one trajectory only is in several folds.
         trajectory: Recording of each sample, shape (M,).
         notes: Which samples are not used, and why, in words.
         subtracted: Torque that was subtracted from the logs before, shape (M, n),

@@ -119,8 +119,6 @@ def _folds(
     """Fold and recording of each sample, shape (M,) each; see :class:`Gap`."""
     clocks = [m.t[:: Sampler.for_rate(m.rate, cutoff).factor] - m.t[0] for m in motions]
     of = np.repeat(np.arange(len(clocks)), [len(t) for t in clocks])
-    if len(motions) >= 4:
-        return of % _MOST_FOLDS, of
     blocks = (np.concatenate(clocks) // block_seconds(motions)).astype(int)
     _, fold = np.unique(of * (blocks.max() + 1) + blocks, return_inverse=True)
     return fold % _MOST_FOLDS, of

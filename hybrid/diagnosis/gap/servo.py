@@ -22,7 +22,7 @@ from hybrid.signals.filters import butterworth
 
 _POSITION_CUTOFF = 2.0  # cut-off of positions over that of the gap
 _LATEST, MOST_SHIFT = 0.2, 0.05  # s; bounds of the effects latency and delay
-LATENCIES = np.arange(0.0, _LATEST, 0.001)  # s
+LATENCIES = np.arange(0.0, _LATEST, 0.002)  # s
 _ENOUGH = 2000  # samples, to scan latencies
 FEWEST = 70  # samples of a joint: twenty periods of the cut-off
 _CLIPPED = 0.98  # of the rated torque
