@@ -613,7 +613,7 @@ def test_rotors_and_payloads_become_part_of_the_arm():
     np.testing.assert_allclose(found.chain.armature, [0.05, 0.07])
     mass = found.chain.inertial[:, 0]
     np.testing.assert_allclose(mass, [2.0, 2.5])
-    errors[-2:] = [-0.2, 0.1]  # of the rotors: none is below zero
+    errors[-2:] = [-4.0, 2.0]  # parts of the rotors: none is below zero
     found, _ = corrected(x, (), errors)
     np.testing.assert_allclose(found.chain.armature, [0.0, 0.15])
     errors[:10] = 0.0

@@ -29,6 +29,7 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.errors import RecordingError
+from hybrid.model.declared import declared_effects
 from hybrid.plant import Noise, Plant, random_fourier, simulate
 from hybrid.plant.rollout import _before_report
 from hybrid.recording import Recording
@@ -135,18 +136,22 @@ def test_gains_of_a_servo_are_off_by_their_part_however_small_they_are():
     )  # it has no damping
 
 
-def test_numbers_of_the_file_are_corrected_in_their_order():
+def test_declared_numbers_are_corrected_by_their_relative_errors():
     robot = replace(arm("planar"), stiffness=np.array([0.0, 3.0]))
-    names = ("damping", "frictionloss", "stiffness")
-    known = [robot.chain.armature, *(getattr(robot, x) for x in names)]
-    change = 0.01 * np.arange(1.0, 1.0 + sum(np.count_nonzero(x) for x in known))
+    declared = declared_effects(robot)
+    change = 0.01 * np.arange(1.0, 1.0 + len(declared))
     scored = SimpleNamespace(gap=SimpleNamespace(robot=robot))
     found, rest = corrected(scored, (), np.concatenate([np.zeros(20), change]))
-    assert rest == ()
-    after = [found.chain.armature, *(getattr(found, x) for x in names)]
-    more = np.concatenate([(x - y)[y != 0] for x, y in zip(after, known, strict=True)])
-    np.testing.assert_allclose(more, change)
+    assert rest == () and len(declared) == 7
+    for effect, error in zip(declared, change, strict=True):
+        (j,), field = effect.joints, next(iter(effect.fields.values()))
+        before, after = (
+            x.chain.armature if field == "armature" else getattr(x, field)
+            for x in (robot, found)
+        )
+        assert after[j] == pytest.approx((1.0 + error) * before[j])
     assert found.stiffness[0] == 0.0
+    np.testing.assert_array_equal(found.springref, robot.springref)
     np.testing.assert_array_equal(found.chain.inertial, robot.chain.inertial)
 
 

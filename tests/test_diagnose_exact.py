@@ -140,7 +140,7 @@ def test_a_lightened_link_of_a_file_is_no_cause_but_is_said():
     light[1] /= 1.6
     found = examined(logs(), robot=pendulum(2).with_inertial(light)).diagnosis
     assert not found.findings and found.background > 0.1
-    assert any("errors of about" in x for x in found.doubts)
+    assert any("off by about" in x for x in found.doubts)
 
 
 def test_numbers_of_a_file_that_are_far_off_are_said_and_no_silence():

@@ -199,12 +199,15 @@ def test_a_joint_that_moves_for_less_than_a_twentieth_is_left_out(share, used):
     assert gap.moving[:, 1].mean() == pytest.approx(share * used, abs=2e-3)
 
 
-def test_folds_are_recordings_by_eight_or_blocks_of_each():
+def test_folds_are_blocks_of_each_recording_by_eight():
+    """What acts in one recording alone is in several folds."""
     logs = [replace(m, t=m.t + 100.0 * k) for k, m in enumerate(swings(count=9))]
     fold, of = _folds(logs, CUTOFF)
-    assert (fold == of % 8).all() and sorted(set(of)) == list(range(9))
-    fold, of = _folds(logs[:4], CUTOFF)
-    assert (fold == of).all() and of.max() == 3
+    assert sorted(set(of)) == list(range(9))
+    for k in range(9):  # of four seconds: blocks of three, and of the rest
+        own = fold[of == k]
+        assert list(dict.fromkeys(own)) == [2 * k % 8, (2 * k + 1) % 8]
+        assert (own == own[0]).mean() == pytest.approx(0.75, abs=0.02)
     # Three of four seconds: blocks of an eighth of twelve, three in each.
     fold, of = _folds(logs[:3], CUTOFF)
     size = len(fold) // 3

@@ -18,9 +18,10 @@ from hybrid.dynamics.pseudo_inertia import (
     stacked,
 )
 from hybrid.effects import Effect
+from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
 
-_NUMBERS = "damping", "frictionloss", "stiffness"  # of a file, besides rotor inertia
+_NUMBERS = "damping", "frictionloss", "quadratic", "cubic", "stiffness"  # of a file
 _MARGIN = 1e-4  # smallest pseudo-inertia of a link, as a share of the file's
 # An elasticity or a backlash needs a rotor. If the file declares none, this share of
 # the inertia that the joint moves is assumed.
@@ -55,10 +56,10 @@ def corrected(
     chain, inertial = robot.chain, robot.chain.inertial + links.reshape(-1, 10)
     armature, others = chain.armature.copy(), []
     numbers = {name: getattr(robot, name).copy() for name in _NUMBERS}
-    for values in (armature, *numbers.values()):
-        declared = np.flatnonzero(values)
-        own, rest = np.split(rest, [len(declared)])
-        values[declared] += own
+    known = numbers | {"armature": armature}
+    for effect, error in zip(declared_effects(robot), rest, strict=False):
+        for field in known.keys() & effect.fields.values():
+            known[field][list(effect.joints)] *= max(1.0 + error, 0.0)
     for effect in effects:
         change = effect.rigid_change(robot.size, chain.gravity)
         if change is not None and not change[1].any():
@@ -71,10 +72,9 @@ def corrected(
         j = effect.joints[0]
         if effect.behind and armature[j] <= 0:
             armature[j] = _ROTOR * _mean_inertia(scored, j)
-    positive = {name: np.maximum(values, 0.0) for name, values in numbers.items()}
     links, rotors = _physical(scored, inertial), np.maximum(armature, 0.0)
     chain = replace(chain, inertial=links, armature=rotors)
-    return replace(robot, chain=chain, **positive), tuple(others)
+    return replace(robot, chain=chain, **numbers), tuple(others)
 
 
 def _mean_inertia(scored: Explanation, joint: int) -> float:

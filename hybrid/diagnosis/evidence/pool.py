@@ -18,11 +18,11 @@ from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects.contact import Contact
 from hybrid.effects.torque_ripple import TorqueRipple
 
 _RIPPLES, _MOST_RIPPLES = 3, 24  # orders added at each joint at a time, and in all
-_CONTACTS = 2  # contacts added at a time
 
 
 class Pool:
@@ -88,7 +88,7 @@ class Pool:
     def add_contacts(self, base: Index) -> None:
         """Add the contacts with the most evidence in the residual of a base."""
         left = self.evidence.residuals(base)
-        found = self.contacts(self.evidence, left, _CONTACTS)
+        found = self.contacts(self.evidence, left, Prior.most_repeated)
         known = [t.candidate.effect.shape_values for t in self.tried]
         self._add([c for c in found if c.effect.shape_values not in known])
 

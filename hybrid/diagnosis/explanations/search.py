@@ -5,6 +5,7 @@ step must lower the cross-validated loss as well, and each cause of the result t
 on test samples.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -108,8 +109,7 @@ class Search(Moves):
         """
         gap, test = self.gap, self.test
         base, most = test.columns(self.causes), self.prior.most_repeated
-        found = np.zeros(len(test.use), dtype=bool)
-        left = test.residuals(self.causes)
+        happened, left = list[Effect](), test.residuals(self.causes)
         for c in self.pool.contacts(test.evidence, left, most * len(gap.motions)):
             better, worth = refine(test.evidence, base, c)
             if worth - self.prior.cause - self.model_error_odds(better) <= LEAST_GAIN:
@@ -119,7 +119,12 @@ class Search(Moves):
             pairs = enumerate(zip(left, test.evidence.rows, strict=True))
             after = [x - columns[i][rows] @ gains for i, (x, rows) in pairs]
             if self.explains(test.evidence, columns, gains, after):
-                found |= _around(gap, better.effect)
+                happened.append(better.effect)
+        times = Counter(x.values["recording"] for x in happened)
+        found = np.zeros(len(test.use), dtype=bool)
+        for x in happened:
+            if times[x.values["recording"]] <= most:  # more of them are no event
+                found |= _around(gap, x)
         return found & test.use
 
     def _restart(self) -> None:

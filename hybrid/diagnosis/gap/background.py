@@ -11,11 +11,8 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.effects.armature import Armature
-from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.delay import Delay
-from hybrid.effects.spring import Spring
-from hybrid.effects.viscous import Viscous
+from hybrid.effects import effect_classes
+from hybrid.model.declared import declared_effects
 from hybrid.robot.spatial import link_spread
 
 _KNEES = (0.003, 0.01, 0.017, 0.03)  # rad/s, speed of full friction
@@ -26,9 +23,9 @@ _LEADS = (0.0, 0.01)  # s, time by which a solver reverses friction early
 def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     """Columns of the numbers of the robot file, and the size of each number.
 
-    A block has ten columns for each link, and there is one of a column for each
-    declared armature, damping, friction loss and stiffness. The relative error of a
-    number refers to its size.
+    A block has ten columns for each link, and there is one of a column for each rotor,
+    friction and spring that the file declares: its torque, of size one. The relative
+    error of a number refers to its size.
     """
     robot = gap.robot
     n = robot.size
@@ -38,23 +35,14 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
         rows = [sampler(columns[:, i]) for i in range(n)]
         full.append(np.stack(rows, axis=1))
     stacked = np.concatenate(full)
-    std = link_spread(robot.chain.inertial)
     blocks: list[Columns] = [
         {i: stacked[:, i, 10 * k : 10 * k + 10] for i in range(k + 1)} for k in range(n)
     ]
-    sizes: list[Array] = list(std)
-    for value, effect in (
-        (robot.chain.armature, Armature),
-        (robot.damping, Viscous),
-        (robot.frictionloss, Coulomb),
-    ):
-        for j in np.flatnonzero(value):
-            blocks.append(gap.columns(effect((int(j),))))
-            sizes.append(np.array([value[j]]))
-    for j in np.flatnonzero(robot.stiffness):
-        law = np.array([[1.0], [-robot.springref[j]]])  # k (q − q₀) per unit of k
-        blocks.append({int(j): gap.columns(Spring((int(j),)))[int(j)] @ law})
-        sizes.append(robot.stiffness[[j]])
+    sizes = list(link_spread(robot.chain.inertial))
+    for effect in declared_effects(robot):
+        columns, gains = gap.columns(effect), effect.gain_values
+        blocks.append({j: (x @ gains)[:, None] for j, x in columns.items()})
+        sizes.append(np.ones(1))
     return blocks, sizes
 
 
@@ -77,19 +65,21 @@ def sampling_delays(gap: Gap) -> tuple[list[Columns], list[Array]]:
 
     No log says when torque was read within a sample: its time is uniform over one.
     """
-    joints = range(gap.robot.size)
+    times = (cls for cls in effect_classes().values() if cls.shifts)
+    late = [cls((j,)) for cls in times for j in range(gap.robot.size)]
     size = gap.period / np.sqrt(12.0)
-    blocks = [gap.columns(Delay((j,))) for j in joints]
-    return blocks, [np.array([size])] * len(joints)
+    return [gap.columns(x) for x in late], [np.array([size])] * len(late)
 
 
 def dry_friction(gap: Gap) -> Array:
     """Dry friction of each joint: declared, and fitted to the gap, (n,), [N·m]."""
     level = gap.robot.frictionloss.copy()
+    usual = [cls for cls in effect_classes().values() if cls.usual]
+    fields = [cls.fields.get(g.name) for cls in usual for g in cls.gains]
     for j, moving in enumerate(gap.moving.T):
-        laws = [gap.columns(kind((j,)))[j] for kind in (Coulomb, Viscous, Armature)]
-        columns = np.hstack([*laws, np.ones((len(moving), 1))])[moving]
-        level[j] += max(0.0, np.linalg.lstsq(columns, gap.left[moving, j])[0][0])
+        columns = np.hstack([gap.columns(cls((j,)))[j] for cls in usual])[moving]
+        gains = np.linalg.lstsq(columns, gap.left[moving, j])[0]
+        level[j] += max(0.0, gains[fields.index("frictionloss")])
     return level
 
 
