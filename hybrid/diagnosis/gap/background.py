@@ -40,8 +40,8 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     ]
     sizes = list(link_spread(robot.chain.inertial))
     for effect in declared_effects(robot):
-        columns, gains = gap.columns(effect), effect.gain_values
-        blocks.append({j: (x @ gains)[:, None] for j, x in columns.items()})
+        one, gains = gap.columns(effect), effect.gain_values
+        blocks.append({j: (x @ gains)[:, None] for j, x in one.items()})
         sizes.append(np.ones(1))
     return blocks, sizes
 
