@@ -685,7 +685,7 @@ class TestEvents:
         noise = np.random.default_rng(3).standard_normal(gap.left.shape)
         left = floor * (butterworth(noise, rate=gap.rate, cutoff=gap.cutoff) + more)
         rows = [np.arange(len(left))] * 2
-        found = Contacts(gap).strongest(list(left.T), rows, floor**2, count)
+        found = Contacts(gap, Contact).strongest(list(left.T), rows, floor**2, count)
         return [c.values for c in found]
 
     def test_no_contact_is_seen_where_there_is_none(self):

@@ -84,6 +84,9 @@ def test_sums_are_over_the_samples_of_each_chunk():
     assert square.shape == (5, 2, 3) and square.sum() == square[3].sum() == 6.0
 
 
+STD = np.array([20.0] * 3 + [2.0] * 3)  # N, N·m: twice the typical gains of a contact
+
+
 def one_push(pushed, *, chunks=30, strength=1.0):
     """Products of a force along x in some chunks, of 20 N prior deviation."""
     clock = _Clock(np.zeros(0, int), np.arange(chunks) + 5, np.zeros(chunks, int))
@@ -95,7 +98,7 @@ def one_push(pushed, *, chunks=30, strength=1.0):
 
 def test_the_best_stretch_is_the_one_that_is_pushed_with_its_evidence():
     clock, gram, moment = one_push(range(10, 16), strength=50.0)
-    found = _stretches(clock, gram, moment)
+    found = _stretches(clock, gram, moment, STD)
     best = max(found)
     assert (best.first, best.length, best.recording) == (5 + 10, 6, 0)
     A, b = 1.0 + 400.0 * 0.06, 20.0 * 0.06 * 50.0
@@ -108,7 +111,7 @@ def test_the_best_stretch_is_the_one_that_is_pushed_with_its_evidence():
 def test_a_moment_has_a_prior_of_a_tenth():
     clock, gram, moment = one_push(range(0))
     gram[:, 5, 5], moment[3:5, 5] = 2.0, 3.0
-    best = max(_stretches(clock, gram, moment))
+    best = max(_stretches(clock, gram, moment, STD))
     assert (best.first, best.length) == (5 + 3, 2)
     A, b = 1.0 + 4.0 * 4.0, 2.0 * 6.0
     force = 1.0 + 400.0 * 0.02
@@ -119,7 +122,7 @@ def test_a_moment_has_a_prior_of_a_tenth():
 def test_a_stretch_has_no_hole():
     clock, gram, moment = one_push(range(10, 14), strength=50.0)
     broken = replace(clock, number=clock.number + (np.arange(30) >= 12))
-    best = max(_stretches(broken, gram, moment))
+    best = max(_stretches(broken, gram, moment, STD))
     assert best.length == 2
 
 
@@ -150,22 +153,26 @@ def test_a_push_is_found_in_its_recording_or_in_all_of_them(recordings, number):
     gap = pushed_gap(recordings)
     rows = [np.flatnonzero(x) for x in gap.moving.T]
     left = [gap.left[r, j] for j, r in enumerate(rows)]
-    found = Contacts(gap).strongest(left, rows, np.full(2, 0.02**2), 3)
+    found = Contacts(gap, Contact).strongest(left, rows, np.full(2, 0.02**2), 3)
     best = found[0].values
     assert best["recording"] == number and found[0].joints == (0, 1)
     assert best["start"] == pytest.approx(1.0, abs=0.051)
     assert best["duration"] == pytest.approx(0.6, abs=0.11)
-    assert len(Contacts(gap).strongest(left, rows, np.full(2, 0.02**2), 1)) == 1
+    assert (
+        len(Contacts(gap, Contact).strongest(left, rows, np.full(2, 0.02**2), 1)) == 1
+    )
     none = [0.02 * np.random.default_rng(1).standard_normal(len(x)) for x in left]
-    assert Contacts(gap).strongest(none, rows, np.full(2, 0.02**2), 3) == []
+    assert Contacts(gap, Contact).strongest(none, rows, np.full(2, 0.02**2), 3) == []
 
 
 def test_slow_samples_say_nothing_of_a_contact():
     gap = gap_of(size=2)
     v = np.abs(gap.sampled.v)
-    np.testing.assert_array_equal(Contacts(gap)._fast, v > 0.1 * v.max(axis=0))
-    assert len(Contacts(gap)._clocks) == 2
-    assert len(Contacts(gap_of(count=1))._clocks) == 1  # all of it is one recording
+    np.testing.assert_array_equal(Contacts(gap, Contact)._fast, v > 0.1 * v.max(axis=0))
+    assert len(Contacts(gap, Contact)._clocks) == 2
+    assert (
+        len(Contacts(gap_of(count=1), Contact)._clocks) == 1
+    )  # all of it is one recording
 
 
 # --- candidates -----------------------------------------------------------------------

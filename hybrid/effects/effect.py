@@ -79,8 +79,9 @@ class Effect(InPlant, Instant, ABC):
     becomes: ClassVar[tuple[str, Literal["lower", "upper"], str] | None] = None
     # Whether it is the sum of several simpler laws.
     composite: ClassVar[bool] = False
-    # Where it may occur several times, at a joint or in a recording, as its shapes are
-    # read off the residual; and the logarithm of the number of distinct shapes.
+    # Where it may occur several times, with shapes that are read off the residual: at a
+    # joint, with some ``periods`` a turn; or in a recording, with ``start``,
+    # ``duration`` and ``recording``. And the logarithm of the number of such shapes.
     repeats: ClassVar[Literal["", "joint", "recording"]] = ""
     choices: ClassVar[float | None] = None
     # Whether it is determined by the motion rather than by the torque.

@@ -9,7 +9,6 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import NORMAL
 from hybrid.effects import Effect
-from hybrid.effects.contact import Contact
 from hybrid.identification.preparation import STANDING
 
 _AT_REST = 0.01  # rad/s or m/s
@@ -43,7 +42,7 @@ class Event:
 def contacts_in_motion(gap: Gap, effects: Iterable[Effect]) -> tuple[Event, ...]:
     """The contacts among some effects, in order of recording and time."""
     found, t = [], gap.sampled.t
-    for effect in (e for e in effects if isinstance(e, Contact)):
+    for effect in (e for e in effects if e.repeats == "recording"):
         number, start = int(effect.values["recording"]), effect.values["start"]
         number = 0 if len(gap.motions) == 1 else number
         end = start + effect.values["duration"]
@@ -61,9 +60,9 @@ def contacts_in_motion(gap: Gap, effects: Iterable[Effect]) -> tuple[Event, ...]
 
 def _wrenches(gap: Gap) -> Array:
     """Torque per force and moment of the last link, shape (M, n, 6)."""
-    joints = tuple(range(gap.robot.size))
-    columns = gap.columns(Contact(joints, {"start": 0.0, "duration": 1e9}))
-    return np.stack([columns[j] for j in joints], axis=1)
+    last = gap.robot.size - 1
+    parts = [sampler(body.wrench_columns(last)) for _, body, sampler in gap]
+    return np.concatenate(parts)
 
 
 def events_at_rest(gap: Gap) -> tuple[Event, ...]:

@@ -81,6 +81,12 @@ def candidates(gap: Gap, without: Sequence[str] = ()) -> list[Candidate]:
     return found
 
 
+def repeating(where: str, without: Sequence[str] = ()) -> list[type[Effect]]:
+    """Effects that may occur several times; see :attr:`.Effect.repeats`."""
+    every = effect_classes().values()
+    return [x for x in every if x.repeats == where and x.id not in without]
+
+
 def usual(gap: Gap, without: Sequence[str] = ()) -> list[Candidate]:
     """Candidates of the effects that most joints have; see :attr:`.Effect.usual`."""
     kinds = [x for x in effect_classes().values() if x.usual and x.id not in without]

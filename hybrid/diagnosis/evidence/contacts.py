@@ -1,4 +1,4 @@
-"""Contacts of the arm: stretches of a residual that a constant wrench explains."""
+"""Contacts of the arm: stretches of a residual that constant gains explain."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.noise import relative_noise_power
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import NORMAL
-from hybrid.effects.contact import Contact
+from hybrid.effects import Effect
 
 _CHUNK = 0.05  # s
 _LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks
 _FAST = 0.1  # of a joint's highest speed
 _LONGEST = 1 / 3  # of a recording
-_FORCE, _MOMENT = 20.0, 2.0  # N, N·m; prior standard deviations of the scan
+_SPREAD = 2.0  # times the typical gain, prior standard deviation of the scan
 _OF_ALL = -1  # number that stands for all recordings
 _WORTH = 14.0  # nat, odds against one of some thousand stretches
 
@@ -61,7 +61,7 @@ class _Clock:
 
 @dataclass(frozen=True, order=True)
 class _Stretch:
-    """A stretch of time, and the evidence for a wrench during it."""
+    """A stretch of time, and the evidence for a contact during it."""
 
     gain: float
     first: int
@@ -80,10 +80,15 @@ class Contacts:
     """Search for contacts, over stretches of one recording and of all of them.
 
     An obstacle is met at the same time in every repeat of a motion, or only once.
+
+    Args:
+        law: A law that acts from a start for a duration; see :attr:`.Effect.repeats`.
     """
 
-    def __init__(self, gap: Gap) -> None:
+    def __init__(self, gap: Gap, law: type[Effect]) -> None:
         n = gap.robot.size
+        self._law = law
+        self._std = _SPREAD * np.array([g.typical for g in law.gains])
         t = gap.sampled.t
         self._joints = tuple(range(n))
         v = np.abs(gap.sampled.v)
@@ -96,7 +101,7 @@ class Contacts:
         if len(own.number) > len(self._clocks[0].number):
             self._clocks.append(own)
         always = {"start": self._first, "duration": float(np.ptp(t)) + 1.0}
-        columns = gap.columns(Contact(self._joints, always))
+        columns = gap.columns(law(self._joints, always))
         self._rate, self._cutoff = gap.rate, gap.cutoff
         self._columns = [columns[j] for j in self._joints]
 
@@ -106,7 +111,7 @@ class Contacts:
         rows: Sequence[NDArray[np.intp]],
         noise: Array,
         count: int,
-    ) -> list[Contact]:
+    ) -> list[Effect]:
         """Contacts that explain most of a residual, without overlap.
 
         Their evidence refers to the noise power around each sample: where positions or
@@ -118,8 +123,9 @@ class Contacts:
             noise: Noise variance of each joint, shape (n,), [N²·m²].
             count: Largest number of contacts.
         """
-        gram = [np.zeros((len(c.number), 6, 6)) for c in self._clocks]
-        moment = [np.zeros((len(c.number), 6)) for c in self._clocks]
+        p = len(self._std)
+        gram = [np.zeros((len(c.number), p, p)) for c in self._clocks]
+        moment = [np.zeros((len(c.number), p)) for c in self._clocks]
         for i, (whole, among) in enumerate(zip(left, rows, strict=True)):
             fast = self._fast[among, i]
             x, r = whole[fast], among[fast]
@@ -133,31 +139,35 @@ class Contacts:
                 G += clock.sums(r, weighted[:, :, None] * columns[:, None])
                 m += clock.sums(r, columns * (x * weight)[:, None])
         sums = zip(self._clocks, gram, moment, strict=True)
-        stretches = [s for each in sums for s in _stretches(*each) if s.gain > _WORTH]
+        every = (s for each in sums for s in _stretches(*each, self._std))
+        stretches = [s for s in every if s.gain > _WORTH]
         found: list[_Stretch] = []
         for stretch in sorted(stretches, reverse=True):
             if not any(stretch.overlaps(x) for x in found):
                 found.append(stretch)
         return [self._contact(s) for s in found[:count]]
 
-    def _contact(self, stretch: _Stretch) -> Contact:
+    def _contact(self, stretch: _Stretch) -> Effect:
         times = {
             "start": self._first + _CHUNK * stretch.first,
             "duration": _CHUNK * stretch.length,
             "recording": float(stretch.recording),
         }
-        return Contact(self._joints, times)
+        return self._law(self._joints, times)
 
 
-def _stretches(clock: _Clock, gram: Array, moment: Array) -> list[_Stretch]:
-    """The best stretches of each length, with the evidence for a wrench."""
-    unit = np.array([_FORCE] * 3 + [_MOMENT] * 3)
-    gram = np.concatenate([np.zeros((1, 6, 6)), gram * unit[:, None] * unit]).cumsum(0)
-    moment = np.concatenate([np.zeros((1, 6)), moment * unit]).cumsum(0)
+def _stretches(clock: _Clock, gram: Array, moment: Array, std: Array) -> list[_Stretch]:
+    """The best stretches of each length, with the evidence for a contact.
+
+    ``std`` are prior standard deviations of the gains, shape (p,).
+    """
+    none = np.zeros_like(gram[:1]), np.zeros_like(moment[:1])
+    gram = np.concatenate([none[0], gram * std[:, None] * std]).cumsum(0)
+    moment = np.concatenate([none[1], moment * std]).cumsum(0)
     longest = _LONGEST * np.unique(clock.recording, return_counts=True)[1].max()
     found = []
     for length in (x for x in _LENGTHS if x <= longest):
-        A = np.eye(6) + gram[length:] - gram[:-length]
+        A = np.eye(len(std)) + gram[length:] - gram[:-length]
         b = moment[length:] - moment[:-length]
         solved = np.linalg.solve(A, b[:, :, None])[:, :, 0]
         gain = 0.5 * np.einsum("ck,ck->c", b, solved) - 0.5 * np.linalg.slogdet(A)[1]

@@ -11,6 +11,7 @@ from hybrid.diagnosis.evidence.candidates import (
     Term,
     candidate,
     candidates,
+    repeating,
     same_columns,
 )
 from hybrid.diagnosis.evidence.contacts import Contacts
@@ -19,8 +20,6 @@ from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.prior import Prior
-from hybrid.effects.contact import Contact
-from hybrid.effects.torque_ripple import TorqueRipple
 
 _RIPPLES, _MOST_RIPPLES = 3, 24  # orders added at each joint at a time, and in all
 
@@ -41,7 +40,8 @@ class Pool:
         self.evidence = evidence
         self.without = tuple(without)
         self.tried: list[Term] = []
-        self._contacts = None if Contact.id in without else Contacts(self.gap)
+        events = repeating("recording", without)
+        self._events = [Contacts(self.gap, law) for law in events]
         self._add(candidates(self.gap, without))
         self._add(
             [x for j in range(self.gap.robot.size) for x in self._ripples(j, [1])]
@@ -63,8 +63,6 @@ class Pool:
 
     def add_ripples(self, base: Index, count: int = _RIPPLES) -> None:
         """Add ripples of the strongest orders at each joint in a base's residual."""
-        if TorqueRipple.id in self.without:
-            return
         sampled, found = self.gap.sampled, list[Candidate]()
         residuals = zip(self.evidence.rows, self.evidence.residuals(base), strict=True)
         for j, (rows, left) in enumerate(residuals):
@@ -75,15 +73,15 @@ class Pool:
 
     def _ripples(self, joint: int, orders: Sequence[int]) -> list[Candidate]:
         """New ripples of some orders at a joint, up to a total number."""
-        if TorqueRipple.id in self.without:
-            return []
-        place = TorqueRipple.id, (joint,)
-        there = (t.candidate.effect for t in self.tried if t.place == place)
-        known = {effect.values["periods"] for effect in there}
-        room = max(0, _MOST_RIPPLES - len(known))
-        new = [float(k) for k in orders if k not in known][:room]
-        effects = (TorqueRipple((joint,), {"periods": k}) for k in new)
-        return [candidate(self.gap, effect) for effect in effects]
+        found: list[Candidate] = []
+        for law in repeating("joint", self.without):
+            place = law.id, (joint,)
+            there = (t.candidate.effect for t in self.tried if t.place == place)
+            known = {effect.values["periods"] for effect in there}
+            room = max(0, _MOST_RIPPLES - len(known))
+            new = [float(k) for k in orders if k not in known][:room]
+            found += [candidate(self.gap, law((joint,), {"periods": k})) for k in new]
+        return found
 
     def add_contacts(self, base: Index) -> None:
         """Add the contacts with the most evidence in the residual of a base."""
@@ -96,10 +94,9 @@ class Pool:
         self, evidence: Evidence, left: Sequence[Array], count: int
     ) -> list[Candidate]:
         """The contacts with the most evidence in the residual of some samples."""
-        if self._contacts is None:
-            return []
-        found = self._contacts.strongest(left, evidence.rows, evidence.noise, count)
-        return [candidate(self.gap, c) for c in found]
+        known = evidence.rows, evidence.noise
+        found = (x.strongest(left, *known, count) for x in self._events)
+        return [candidate(self.gap, c) for each in found for c in each]
 
     def ranked(
         self, base: Index, taken: Collection[Place] = (), less: Index | None = None
