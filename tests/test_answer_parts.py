@@ -198,13 +198,21 @@ def test_a_law_that_takes_the_place_of_the_files_says_so():
 # --- events ---------------------------------------------------------------------------
 
 
+class Standing(SimpleNamespace):
+    """A gap whose motions are one, with a moment about the axes of all joints."""
+
+    def __iter__(self):
+        moment = np.tile(np.eye(6)[3], (*self.left.shape, 1))
+        yield None, SimpleNamespace(wrench_columns=lambda last: moment), lambda x: x
+
+
 def standing(left, *, mask=None, v=None, size=1, count=1, source="log"):
     """A gap of an arm that stands, 100 Hz, with a rated torque of 50 N·m."""
     rows = len(left)
     v = np.zeros((rows, size)) if v is None else v
     each = rows // count
     t = np.arange(rows) % each / 100.0
-    return SimpleNamespace(
+    return Standing(
         robot=pendulum(size), rate=100.0, left=left,
         sampled=SimpleNamespace(
             t=t, v=v, mask=np.ones(rows, dtype=bool) if mask is None else mask
@@ -212,9 +220,6 @@ def standing(left, *, mask=None, v=None, size=1, count=1, source="log"):
         scales=[SimpleNamespace(torque=50.0)] * size,
         trajectory=np.arange(rows) // each,
         motions=[SimpleNamespace(source=source)] * count,
-        columns=lambda effect: {
-            j: np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0], (rows, 1)) for j in range(size)
-        },
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from hybrid.diagnosis.explanations.posterior import Posterior
 from hybrid.diagnosis.explanations.refit import (
     _profile_range,
     _reported,
+    _set_noise_of_residual,
     refit,
     solve_all,
 )
@@ -394,6 +395,19 @@ def test_values_are_those_of_the_arm_within_their_intervals():
             assert off < 3 * effect.std[name] < 0.2
 
 
+def test_values_are_off_by_as_much_as_their_intervals_say():
+    """Neither the errors of laws in general nor those of simulators widen them."""
+    off = []
+    for seed in range(12):
+        known = gap_of(RUBS, ASKEW, seed=seed)
+        at = Search(known, split(known), [x for x in effect_classes() if x not in FEW])
+        at.causes = [cause(at, RUBS), cause(at, ASKEW)]
+        for effect, true in zip(refit(at), (RUBS, ASKEW), strict=True):
+            error = effect.values["level"] - true.values["level"]
+            off.append(error / effect.std["level"])
+    assert 0.4 < np.sqrt(np.mean(np.square(off))) < 1.5
+
+
 def test_the_interval_of_a_shape_is_that_of_all_that_fit_nearly_as_well():
     at = search(BRISTLES, library=("presliding",))
     at.run()
@@ -401,6 +415,7 @@ def test_the_interval_of_a_shape_is_that_of_all_that_fit_nearly_as_well():
     assert abs(found.values["distance"] - 0.05) < 3 * found.std["distance"] < 0.01
     assert abs(found.values["level"] - 1.0) < 3 * found.std["level"] < 0.1
     evidence, solution, (own,) = solve_all(at)
+    _set_noise_of_residual(evidence, solution)
     base = np.setdiff1d(solution.index, own)
     candidate_, steps = at.known[0].candidate, [-1.96, 0.0, 1.96]
     worth = []

@@ -8,6 +8,7 @@ from scipy.special import chdtri
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Candidate, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
+from hybrid.diagnosis.evidence.noise import LAGS, autocovariance, floored
 from hybrid.diagnosis.evidence.refine import add_shape_derivatives, fit_shift
 from hybrid.diagnosis.evidence.shapes import (
     normalised_shapes,
@@ -55,6 +56,7 @@ def refit(search: Search) -> tuple[Effect, ...]:
         for effect, i in zip(effects, own, strict=True)
     ]  # fmt: skip
     shapes = [add_shape_derivatives(evidence, effect) for effect in effects]
+    _set_noise_of_residual(evidence, solution)
     # The error of the file's numbers was chosen by the same data.
     numbers = index[: len(search.numbers)]
     evidence.scale_prior(numbers, search.reported_file_error)
@@ -78,6 +80,20 @@ def refit(search: Search) -> tuple[Effect, ...]:
         covariance[np.diag_indices(len(here))] += _model_variance(gap, effect)
         certain.append(_reported(effect, covariance))
     return tuple(certain)
+
+
+def _set_noise_of_residual(evidence: Evidence, solution: Solution) -> None:
+    """Set the noise to what a solution leaves, as an interval refers to that.
+
+    In a search the errors of laws and simulators in general count as noise as well.
+    """
+    gap, covariances = evidence.gap, list[Array]()
+    for i, rows in enumerate(evidence.rows):
+        back = np.argsort(rows)
+        left = evidence.residual(i, solution.index, solution.gains)[back]
+        known = autocovariance(left, rows[back], LAGS) if len(rows) else np.ones(1)
+        covariances.append(floored(known, gap.cutoff / gap.rate))
+    evidence.set_covariances(covariances)
 
 
 def _profile_range(
