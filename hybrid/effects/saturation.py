@@ -29,6 +29,7 @@ class Saturation(Effect):
     id = "saturation"
     port = Port.DRIVE
     becomes = "limit", "lower", "torque_gain"
+    inexact = {"limit": 0.005}  # clipped before it is filtered
     gains = (Quantity("loss", "", 0.5, 0.0, 1.0, spread=5.0),)
     shapes = (
         Quantity("limit", "N·m", 0.3, 0.02, 2.0, per=(1, 0)),
