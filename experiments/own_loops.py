@@ -103,9 +103,11 @@ def sizes(
         loop = OwnLoop(load_arm(arm), kinds, seed, motion, only)
         loop.rng = np.random.default_rng(seed)  # the same reference, and noise
         gap = measure_gap(loop.robot, [loop.record() for _ in range(RECORDINGS)])
-        squares.append(np.mean(gap.left**2, axis=0))
-    more = [np.maximum(x / squares[0] - 1.0, 0.0) for x in squares[1:]]
-    return [float(np.sqrt(x.max())) for x in more]
+        used = np.maximum(gap.moving.sum(axis=0), 1)
+        squares.append((np.where(gap.moving, gap.left, 0.0) ** 2).sum(axis=0) / used)
+    more = [np.maximum(x - squares[0], 0.0) for x in squares[1:]]
+    return [float(np.sqrt((x / squares[0]).max(where=squares[0] > 0, initial=0.0)))
+            for x in more]  # fmt: skip
 
 
 def named(found: Diagnosis) -> list[dict[str, Any]]:
