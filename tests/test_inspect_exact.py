@@ -21,6 +21,7 @@ from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import clock_of
 from hybrid.inspect.masses import MassColumns, smooth_sign, unit_masses
 from hybrid.inspect.physics import (
+    _others,
     _Readings,
     doubts_of_magnitude,
     doubts_of_physics,
@@ -591,6 +592,22 @@ def test_links_of_a_file_leave_what_another_law_of_friction_leaves():
     for blocks in (2, 4, 8):
         assert (log.residual(log.written, "file", blocks=blocks) >= 3e-3).all()
         assert log.residual(log.written, "any", blocks=blocks).min() < 2.9e-3
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_another_zero_is_asked_for_only_where_the_files_links_tell_it(links):
+    """Masses that may be anywhere turn with their joint, as a contact shows."""
+    arm = pendulum(2)
+    state = asked(arm, more=0.02 * np.random.default_rng(0).normal(size=(400, 2)))
+    masses = {"any": unit_masses(arm.chain)}
+    if links:
+        masses["file"] = arm.chain.inertial[:, :, None]
+    shifts = {}
+    for off in (0.0, np.pi / 2):
+        logged = replace(state, q=state.q + [0.0, off])
+        every = _others(_Readings(arm.chain, logged, masses), True)
+        shifts[off] = [x.shift.tolist() for x in every if np.any(x.shift)]
+    assert shifts[0.0] == [] and ([0.0, -np.pi / 2] in shifts[np.pi / 2]) is links
 
 
 def read_wrong(change, arm):

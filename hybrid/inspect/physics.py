@@ -183,8 +183,15 @@ def _others(log: _Readings, clock_is_right: bool) -> list[OtherReading]:
 
     moving = np.flatnonzero(np.ptp(log.state.q, axis=0) > STILL).tolist()
     pairs = np.log(log.columns(log.written, "any").residual_of_pairs())
-    others = readings(log.chain, moving, linear_sum_assignment(pairs)[1], log.state)
-    return [x for x in others if not clock_is_right or x.channels != ("t",)]
+    best = linear_sum_assignment(pairs)[1]
+    others = list(readings(log.chain, moving, best, log.state))
+    # Masses anywhere turn with a joint: its zero has to be told by the file's links.
+    turned = [x for x in others if np.any(x.shift)]
+    known = "file" in log.masses and turned
+    gains = log.gains(turned, "file") if known else [0.0] * len(turned)
+    doubted = [x for x, g in zip(turned, gains, strict=True) if g <= _LEAST_GAIN]
+    doubted += [x for x in others if clock_is_right and x.channels == ("t",)]
+    return [x for x in others if x not in doubted]
 
 
 def _gain(before: Array, after: Array, reading: OtherReading | None = None) -> float:
