@@ -200,8 +200,8 @@ def main() -> None:
         3.92 * (true - (low + high) / 2) / (high - low)
         for a in found for true, low, high in a.intervals if high > low
     ]  # fmt: skip
-    spread = f"{np.sqrt(np.mean(np.square(off))):.2f}" if off else "–"
-    rows.append(("RMS error of a parameter, standard deviations", spread, "", ""))
+    usual = f"{np.median(np.abs(off)):.2f}" if off else "–"
+    rows.append(("median error of a parameter, standard deviations", usual, "", ""))
     classes = [len(x.named[0]["class"]) for x in found if x.named]
     rows.append(("mean size of the first class", f"{np.mean(classes):.2f}", "", ""))
     auroc = f"{known_from_unknown(found):.3f}"
