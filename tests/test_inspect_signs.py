@@ -134,6 +134,7 @@ class Told:
                 channels=("t" if k == of_time else "tau",),
                 clock=1.0,
                 factor=np.ones(2),
+                shift=0.0,
             )
             for k in range(count)
         ]
