@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -90,6 +90,7 @@ def run(
     }  # fmt: skip
 
 
+@lru_cache(maxsize=1)  # a plant is diagnosed with and without an effect
 def sizes(
     arm: str, kinds: tuple[str, ...], seed: int, motion: Make = random_fourier
 ) -> list[float]:

@@ -5,7 +5,7 @@ The runs of ``own_loops``, bare and not, ``own_loops_pairs``, ``own_loops_withhe
 share with its Wilson interval for each question, and a figure how often the first cause
 is wrong among the most certain answers (risk over coverage). "As large" is an effect
 that adds as much to the gap of a joint as is there without it: noise, and small errors
-of the file.
+of the file, of which any missing friction is none.
 
     python experiments/pooled_evidence.py FOLDER FOLDER
 """

@@ -99,7 +99,7 @@ def candidate(gap: Gap, effect: Effect) -> Candidate:
 
 
 def gain_grid(gain: Quantity) -> Array:
-    """Gains at which a steep effect is tried, in equal ratios, shape (14,)."""
+    """Gains at which a steep effect is tried, in equal ratios and its unit, (g,)."""
     return np.geomspace(gain.typical / _LEAST_GAIN, gain.upper, _GAINS)
 
 
