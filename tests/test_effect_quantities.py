@@ -152,7 +152,7 @@ def test_every_parameter_is_documented():
 FLAGS = {
     "steep": "backlash elasticity",
     "differentiates": "actuator_lag armature delay link_inertia payload",
-    "shifts": "delay",
+    "shifts": "command_latency delay",
     "usual": "armature coulomb torque_offset viscous",
     "inborn": "armature link_inertia",
     "composite": "improved_stribeck threshold_friction",

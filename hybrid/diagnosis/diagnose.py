@@ -37,7 +37,7 @@ from hybrid.diagnosis.gap.coverage import (
 )
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import split
-from hybrid.effects.delay import Delay
+from hybrid.effects import Port, effect_at
 from hybrid.identification.preparation import checked_logs
 from hybrid.model import DynamicModel
 from hybrid.progress import Progress, silent
@@ -182,8 +182,9 @@ class _Case:
         recordings = since_first(checked_logs(robot, recordings))
         if healthy:
             recordings = healthy.subtract_from(recordings)
+        delay = effect_at(Port.MEASUREMENT, shifts=True)
         logged, recordings, *gaps = measured(
-            robot, recordings, cutoff, clocks=Delay.id not in without
+            robot, recordings, cutoff, clocks=delay.id not in without
         )
         gap, as_logged = map(healthy.with_subtracted, gaps) if healthy else gaps
         return cls(recordings, logged, gap, as_logged, tuple(without), healthy)
@@ -199,7 +200,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     """Explain the torque of some logs."""
     gap, logged, doubts = case.gap, case.logged, list(case.doubts)
     # A delay of all torque is corrected already.
-    late = [Delay.id] if logged.clocks else []
+    late = [effect_at(Port.MEASUREMENT, shifts=True).id] if logged.clocks else []
     tell("trying every effect at every joint", 0.1)
     search = Search(gap, split(gap), without=[*case.without, *late])
     if not doubts:

@@ -18,6 +18,7 @@ __all__ = [
     "Scalar",
     "Scale",
     "Scope",
+    "effect_at",
     "effect_class",
     "effect_classes",
     "effect_from_dict",
@@ -27,6 +28,7 @@ __all__ = [
 ]
 
 from hybrid.effects.registry import (
+    effect_at,
     effect_class,
     effect_classes,
     effect_from_dict,

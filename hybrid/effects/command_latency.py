@@ -17,6 +17,7 @@ class CommandLatency(Effect):
 
     id = "command_latency"
     port = Port.COMMAND
+    shifts = True
     not_in_loop = "it lies between command and torque"
     gains = (Quantity("time", "s", 0.01, 0.0, 0.2),)
     equation = "τ(t) = τ_ff(t − T) + k_p (q_ref(t − T) − q) + k_d (v_ref(t − T) − v)"

@@ -1,7 +1,6 @@
 """Servo gains that differ from the stated ones."""
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import numpy as np
 
@@ -20,8 +19,7 @@ class ControllerGain(Effect):
     port = Port.COMMAND
     # Relative to the whole gains; noise of the speed limits the damping.
     inexact = {"damping": 0.03, "stiffness": 0.001}
-    # The effect of a wrong scale of the logged torque, which looks like other gains.
-    at_scale: ClassVar[tuple[str, ...]] = ("torque_gain",)
+    at_scale = ("torque_gain",)
     not_in_loop = "it lies between command and torque"
     gains = (
         Quantity("stiffness", "", -0.2, -0.9, 5.0),

@@ -63,7 +63,7 @@ class Effect(InPlant, Instant, ABC):
     steep: ClassVar[bool] = False
     # Whether its torque depends on derivatives of the torque, or on acceleration.
     differentiates: ClassVar[bool] = False
-    # Whether it shifts torque in time. A fit scans the time, as noise biases it.
+    # Whether it shifts a signal in time. A fit scans the time, as noise biases it.
     shifts: ClassVar[bool] = False
     # Relative standard deviation of values fitted to an exact plant without noise,
     # because the law is an approximation.
@@ -91,6 +91,8 @@ class Effect(InPlant, Instant, ABC):
     # By id of a law with the same torque on every motion: an experiment that separates
     # the two.
     told_apart: ClassVar[Mapping[str, str]] = {}
+    # Ids of laws that look like it if the logged torque has another scale.
+    at_scale: ClassVar[tuple[str, ...]] = ()
     equation: ClassVar[str]
     source: ClassVar[str]
     sentence: ClassVar[str]

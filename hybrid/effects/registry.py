@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hybrid.effects.effect import Effect
+from hybrid.effects.effect import Effect, Port
 from hybrid.effects.quantity import Scale
 from hybrid.errors import EffectError
 from hybrid.names import printable
@@ -121,6 +121,12 @@ def effect_class(effect_id: str) -> type[Effect]:
             "(effects of your own: --effects-from FILE.py)"
         )
     return known[effect_id]
+
+
+def effect_at(port: Port, *, shifts: bool) -> type[Effect]:
+    """The first effect at a port that shifts a signal in time, or that does not."""
+    known = effect_classes().values()
+    return next(x for x in known if x.port is port and x.shifts == shifts)
 
 
 def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect:

@@ -25,9 +25,7 @@ from hybrid.diagnosis.explanations.servo_fit import (
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import split, unseen_samples
 from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
-from hybrid.effects import Effect
-from hybrid.effects.command_latency import CommandLatency
-from hybrid.effects.controller_gain import ControllerGain
+from hybrid.effects import Effect, Port, effect_at
 from hybrid.recording import Recording
 from hybrid.signals import Motion
 
@@ -66,7 +64,7 @@ class _Servo:
 
     def without(self, *kinds: type[Effect]) -> Fit:
         """The best fit without some effects."""
-        return self.fits[CommandLatency not in kinds, ControllerGain not in kinds]
+        return self.fits[_latency() not in kinds, _gains() not in kinds]
 
     def decrease(self, before: Fit, after: Fit) -> float:
         """Squares that one fit explains beyond another, in units of noise."""
@@ -85,6 +83,16 @@ class _Servo:
         return (last + first) / 2
 
 
+def _latency() -> type[Effect]:
+    """The effect that the command is late."""
+    return effect_at(Port.COMMAND, shifts=True)
+
+
+def _gains() -> type[Effect]:
+    """The effect that the servo has other gains than declared."""
+    return effect_at(Port.COMMAND, shifts=False)
+
+
 def command_link(
     gap: Gap,
     recordings: Sequence[Recording | Motion],
@@ -100,7 +108,7 @@ def command_link(
     """
     learn = split(gap)
     test = unseen_samples(gap, learn)
-    kinds = [k for k in (CommandLatency, ControllerGain) if k.id not in without]
+    kinds = [k for k in (_latency(), _gains()) if k.id not in without]
     fitted = [
         _fitted_servo(gap, i, log, learn, test, kinds)
         for i, log in enumerate(servo_logs(gap, recordings))
@@ -146,14 +154,14 @@ def _fitted_servo(
     least = max(_CONTROL_PERIOD, gap.period)
     late = whole.latency - NORMAL * whole.latency_std > least
     if late and _better(train, held_out, fit(train, free, immediate=True), whole):
-        found.append(CommandLatency)
+        found.append(_latency())
     scale = False
     if declared:
         alike = [law for law in declared if law.scaled == whole.law.scaled]
         fixed = fits[True, False] = fit(train, alike, immediate=False)
         wrong = _gains_differ(whole, gap, train, i)
         if wrong and _better(train, held_out, fixed, whole):
-            found.append(ControllerGain)
+            found.append(_gains())
             scaled = fit(train, declared, immediate=False)
             scale = log_likelihood_ratio(train, scaled, whole) < WORTH
         elif found:
@@ -223,12 +231,12 @@ def _fitted_effects(
     gap: Gap, i: int, log: ServoLog, kinds: Sequence[type[Effect]]
 ) -> tuple[Effect, ...]:
     """Fit the effects of a joint to all samples."""
-    found = fit(log, list(laws()), immediate=CommandLatency not in kinds)
+    found = fit(log, list(laws()), immediate=_latency() not in kinds)
     effects = []
     for kind in kinds:
         names = [g.name for g in kind.gains]
         value, std = np.array([found.latency]), np.array([found.latency_std])
-        if kind is ControllerGain:
+        if not kind.shifts:
             value, error = _gain_errors(found, gap, i)
             law = np.array([kind.inexact.get(x, 0.0) for x in names])
             std = np.hypot(error, law * (1.0 + value))
@@ -250,13 +258,12 @@ def _finding(
         for k, fitted in enumerate((s.without(kind), s.without())):
             left = fitted.residual(s.test)
             squares[k] += np.bincount(block[s.test.row], left**2, len(squares[k]))
-    scale = kind is ControllerGain and any(s.scale for s in servos)
     own = [e for s in servos for e in s.effects if isinstance(e, kind)]
     joints = [s.joint for s in servos]
     return finding_of(
         kind,
         [gap.robot.joints[j] for j in joints],
-        ControllerGain.at_scale if scale else (),
+        kind.at_scale if any(s.scale for s in servos) else (),
         [v for e in own for v in fitted_values(gap, e)],
         share=sum(s.share(kind) for s in servos) / max(total, 1e-300),
         shrink=shrunk(squares, count, gap.robot.chain.unit_at(joints, "N·m"), rng),

@@ -23,7 +23,7 @@ from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.effects.delay import Delay
+from hybrid.effects import Port, effect_at
 
 COMMAND_TO_TORQUE = "command to torque"
 
@@ -41,9 +41,10 @@ def delay_finding(
     """
     gap = scored.gap
     moving = np.flatnonzero(logged.moving.any(axis=0)).tolist()
-    std = float(np.hypot(convention.std, Delay.inexact["time"] * convention.late))
-    time = {"time": convention.late}
-    effects = tuple(Delay((j,), time, {"time": std}) for j in moving)
+    delay, late = effect_at(Port.MEASUREMENT, shifts=True), convention.late
+    name = delay.gains[0].name
+    std = float(np.hypot(convention.std, delay.inexact.get(name, 0.0) * late))
+    effects = tuple(delay((j,), {name: late}, {name: std}) for j in moving)
     change = logged.left - gap.left
 
     def with_delay(x: Explanation) -> list[Array]:
@@ -59,7 +60,7 @@ def delay_finding(
     names = [gap.robot.joints[j] for j in moving]
     parameters = [v for e in effects for v in fitted_values(gap, e)]
     shrink = torque_shrink(scored, with_delay(scored), rng)
-    finding = finding_of(Delay, names, (), parameters, shrink=shrink)
+    finding = finding_of(delay, names, (), parameters, shrink=shrink)
     return ExtraFindings((finding,), effects, own), float(others.sum())
 
 

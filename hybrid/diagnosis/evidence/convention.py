@@ -17,29 +17,21 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.evidence.candidates import Candidate, candidate, usual
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise_model import estimate_noise
 from hybrid.diagnosis.gap.background import background, friction_near_rest
 from hybrid.diagnosis.gap.gap import LOWER_BAND, Columns, Gap
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.prior import Prior
-from hybrid.effects.armature import Armature
-from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.delay import Delay
-from hybrid.effects.payload import Payload
-from hybrid.effects.torque_gain import TorqueGain
-from hybrid.effects.torque_offset import TorqueOffset
-from hybrid.effects.viscous import Viscous
+from hybrid.effects import Port, effect_at, effect_classes
 from hybrid.identification.preparation import FEWEST_PERIODS
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
-_NUISANCE = (Viscous, Coulomb, TorqueOffset, TorqueGain)
 _OPEN = 0.1  # s, prior standard deviation of a joint's own delay or step
 _LINEARITY = 0.1  # of a common time: error of columns that are linear in it
-_LATEST = Delay.gains[0].upper  # s
 
 
 @dataclass(frozen=True)
@@ -141,7 +133,7 @@ def find_convention(
     steps = sorted(x for x in {gap.period, robot.timestep} if x > 0)
     evidence = _TimeEvidence(gap)
     # The log does not tell when torque was read within a sample.
-    least = gap.period if clocks else _LATEST
+    least = gap.period if clocks else np.inf
     delays, damped = evidence.most_probable(steps, least)
     late, step = delays.common, damped.common
     if not (late or step) or not evidence.is_cross_validated():
@@ -181,14 +173,15 @@ class _TimeEvidence:
         numbers = np.concatenate(evidence.add(*background(gap)))
         evidence.scale_prior(numbers, prior.file_errors[0])
         evidence.add(*friction_near_rest(gap))
-        beside = [candidate(gap, kind((j,))) for kind in _NUISANCE for j in joints]
-        # A rotor that the file lacks would look like a delay.
-        rotors = set(joints) - set(servo)
-        beside += [candidate(gap, Armature((j,))) for j in rotors]
-        beside.append(candidate(gap, Payload(tuple(range(robot.size)))))
+        beside = [c for c in _nuisances(gap) if {*joints} & {*c.effect.joints}]
+        # Where a servo is damped, a law of acceleration is the step.
+        steps = [c for c in beside if c.effect.usual and c.effect.differentiates]
+        steps = [c for c in steps if c.effect.joints[0] in servo]
+        beside = [c for c in beside if c not in steps]
         evidence.add([gap.columns(c.effect) for c in beside], [c.std for c in beside])
         self._base = np.arange(evidence.size)
-        damped = [{j: robot.kd[j] * gap.columns(Armature((j,)))[j]} for j in servo]
+        accelerations = [gap.columns(c.effect) for c in steps]
+        damped = [{j: robot.kd[j] * x for j, x in c.items()} for c in accelerations]
         delays = [_delay_columns(gap, j) for j in joints]
         evidence.add([*delays, *damped], [np.array([_OPEN])] * len(joints + servo))
         self._evidence, self._sizes = evidence, (len(joints), len(servo))
@@ -227,11 +220,12 @@ class _TimeEvidence:
 
         A common delay is a step of the simulation, or longer than the least, [s].
         """
+        latest = effect_at(Port.MEASUREMENT, shifts=True).gains[0].upper
         delays, damped = (self._priors(x, steps) for x in self._sizes)
         pairs = [(x, y) for x in delays for y in damped]
         for y in damped:
             time, _ = self.common_delay(y.common)
-            if least < time < _LATEST:
+            if least < time < latest:
                 own = _LINEARITY * time * np.eye(self._sizes[0])
                 root = np.column_stack([np.full(len(own), _OPEN), own])
                 pairs.append((_TimePrior(self._cause, root, time), y))
@@ -252,6 +246,15 @@ class _TimeEvidence:
         every = np.arange(self._evidence.size)
         now, then = map(self._evidence.held_out_loss, (self._base, every))
         return bool(np.all(then < now))
+
+
+def _nuisances(gap: Gap) -> list[Candidate]:
+    """Effects that hide a delay: the usual ones, a scale of the log, and the body's."""
+    size, kinds = gap.robot.size, effect_classes().values()
+    every = [x(joints) for x in kinds if not x.usual for joints in x.places(size)]
+    scales = [x for x in every if x.reports and not x.differentiates]
+    body = [x for x in every if x.port is Port.BODY and x.scope == "arm"]
+    return usual(gap) + [candidate(gap, x) for x in (*scales, *body)]
 
 
 def _delay_columns(gap: Gap, joint: int) -> Columns:

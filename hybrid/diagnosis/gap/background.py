@@ -11,7 +11,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.effects import effect_classes
+from hybrid.effects import Port, effect_at, effect_classes
 from hybrid.model.declared import declared_effects
 from hybrid.robot.spatial import link_spread
 
@@ -65,8 +65,8 @@ def sampling_delays(gap: Gap) -> tuple[list[Columns], list[Array]]:
 
     No log says when torque was read within a sample: its time is uniform over one.
     """
-    times = (cls for cls in effect_classes().values() if cls.shifts)
-    late = [cls((j,)) for cls in times for j in range(gap.robot.size)]
+    delay = effect_at(Port.MEASUREMENT, shifts=True)
+    late = [delay((j,)) for j in range(gap.robot.size)]
     size = gap.period / np.sqrt(12.0)
     return [gap.columns(x) for x in late], [np.array([size])] * len(late)
 
