@@ -201,6 +201,7 @@ def test_it_says_how_the_result_came_about(diagnose, logs, tmp_path):
     ).read_text("utf-8")
 
 
+@pytest.mark.study
 def test_the_same_run_gives_the_same_files_and_leaves_others_alone(
     diagnose, answered, tmp_path
 ):

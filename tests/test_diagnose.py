@@ -258,6 +258,7 @@ class TestGap:
         small = replace(gap, left=np.where(usual[:, None], 1.0, 2.0) * gap.left)
         np.testing.assert_array_equal(split(small), usual)
 
+    @pytest.mark.study
     def test_a_fault_in_the_last_log_alone_is_found(self):
         robot, recordings = logs([])
         push = np.where(np.abs(recordings[3].t - 3.0) < 0.5, 8.0, 0.0)
@@ -755,6 +756,7 @@ def test_a_gain_that_is_not_known_is_no_saturation(joint, gain):
     assert result.diagnosis.findings == ()
 
 
+@pytest.mark.study
 def test_a_log_with_holes_counts_as_several():
     robot, recordings = logs([Viscous((0,), {"coefficient": 1.0})], count=2)
     first, *rest = recordings
@@ -813,6 +815,7 @@ class TestDrives:
         assert values["loss"] == pytest.approx(1.0, abs=0.05)
         assert set(values) == {"loss", "limit"}
 
+    @pytest.mark.study
     def test_what_passes_nothing_small_is_a_dead_zone_of_its_width(self):
         width = np.array([0.0, 0.1 * np.abs(self.log(lambda x: x, 0).tau[:, 1]).max()])
         finding, values = self.named_of(

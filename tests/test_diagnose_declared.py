@@ -166,6 +166,7 @@ def sprung(**real):
     return examine(SPRUNG, simulate(plant, trajectories=4, duration=4.5, seed=1))
 
 
+@pytest.mark.study
 def test_a_spring_that_the_file_declares_is_no_cause():
     assert sprung().diagnosis.verdict == "no_gap"
 
@@ -178,6 +179,7 @@ def test_a_declared_spring_that_is_not_there_is_found_with_its_sign():
     assert values["preload"] == pytest.approx(4.0 * -0.3, rel=0.05)
 
 
+@pytest.mark.study
 def test_a_declared_spring_that_is_too_soft_is_mended_in_the_file(tmp_path):
     result = sprung(stiffness=np.array([24.0, 4.0]))
     assert [f.effect for f in result.diagnosis.findings] == ["spring"]

@@ -63,6 +63,7 @@ def only(findings, effect):
     return found
 
 
+@pytest.mark.study
 def test_of_a_sound_arm_the_noise_is_left():
     found = examined(logs()).diagnosis
     assert (found.verdict, found.unexplained) == ("no_gap", 0.0)
@@ -113,6 +114,7 @@ def test_an_effect_out_of_the_library_is_unexplained():
     assert found.unseen.ceiling[0] < 0.5 * found.unseen.before[0]
 
 
+@pytest.mark.study
 def test_part_of_a_gap_may_be_explained():
     both = logs(SLIPS, RUBS)
     found = examined(both, library=("coulomb", "torque_offset")).diagnosis
@@ -121,6 +123,7 @@ def test_part_of_a_gap_may_be_explained():
     assert "hinge_1" in {j for f in found.findings for j in f.joints}
 
 
+@pytest.mark.study
 def test_shapes_are_told_with_their_ends():
     result = examined(logs(BRISTLES, size=1), library=("presliding",))
     (found,) = result.diagnosis.findings
@@ -135,6 +138,7 @@ def test_shapes_are_told_with_their_ends():
     assert effect.std["distance"] > 0 and effect.std["level"] > 0
 
 
+@pytest.mark.study
 def test_a_lightened_link_of_a_file_is_no_cause_but_is_said():
     light = pendulum(2).chain.inertial.copy()
     light[1] /= 1.6
@@ -143,6 +147,7 @@ def test_a_lightened_link_of_a_file_is_no_cause_but_is_said():
     assert any("off by about" in x for x in found.doubts)
 
 
+@pytest.mark.study
 def test_numbers_of_a_file_that_are_far_off_are_said_and_no_silence():
     """A link that is a quarter heavier, where no effect may say so."""
     light = pendulum(4).chain.inertial.copy()
@@ -179,6 +184,7 @@ def test_torque_of_another_clock_is_taken_back_and_named():
         assert f.shrink["motion"].removed > 0.8
 
 
+@pytest.mark.study
 def test_dry_friction_is_no_play_and_no_spring():
     found = examined(logs(RUBS), library=("coulomb", "backlash", "elasticity"))
     (f,) = found.diagnosis.findings
@@ -234,9 +240,11 @@ class TestCommand:
         rest = [f for f in findings if f.effect != "torque_ripple"]
         return found.diagnosis, rest
 
+    @pytest.mark.study
     def test_one_that_does_is_none(self):
         assert self.link()[1] == []
 
+    @pytest.mark.study
     def test_a_soft_one_is_told_by_how_much(self):
         found, (f,) = self.link(stiffness=0.8)
         assert (f.effect, f.joints) == ("controller_gain", ("hinge_0",))
@@ -327,6 +335,7 @@ class TestMotion:
             assert not any("do not take it" in x for x in found.warnings)
 
 
+@pytest.mark.study
 def test_a_diagnosis_ends_with_what_to_run_next_where_two_are_alike():
     """A payload of the last link and a heavier link: an arm by itself cannot tell."""
     without = [x for x in effect_classes() if x not in ("payload", "coulomb")]
@@ -483,6 +492,7 @@ def test_regions_of_both_links_share_what_is_left():
     assert sum(f.share for f in of_both.findings) == pytest.approx(1.0)
 
 
+@pytest.mark.study
 def test_one_log_is_enough_if_it_is_long():
     found = examined(logs(ASKEW, size=2, count=1, seconds=16.0))
     (f,) = found.diagnosis.findings

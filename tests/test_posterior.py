@@ -77,6 +77,7 @@ def test_all_causes_of_a_gap_are_found_and_no_other(effects, size):
         assert at.score([c for c in found if c is not own]) < now
 
 
+@pytest.mark.study
 def test_a_sound_arm_has_no_cause():
     at = search()
     assert at.run() == [] and at.beliefs == [] and at.whole == []
@@ -446,6 +447,7 @@ def test_what_each_explains_is_what_is_left_less_by_it():
     assert len(scored.rigid) == len(scored.index) - 2
 
 
+@pytest.mark.study
 def test_a_shape_is_as_far_off_as_fits_nearly_as_well():
     """Within 1.92 nat of the best: its region of 95 %."""
     at = search(BRISTLES, library=("presliding",))
@@ -482,6 +484,7 @@ def test_a_late_torque_is_found_in_time():
     assert places(at) <= {("delay", (0,))}
 
 
+@pytest.mark.study
 def test_a_spring_is_stiffer_than_its_file_says_by_so_much():
     springy = Spring((0,), {"stiffness": 3.0})
     at = search(springy, library=("spring", *FEW))

@@ -796,6 +796,7 @@ def test_a_joint_breaks_loose_above_its_sliding_friction_and_stays_at_rest(
     np.testing.assert_allclose(data.qvel, 0.0, atol=1e-3)
 
 
+@pytest.mark.study
 def test_a_file_with_friction_that_falls_lacks_nothing_of_an_arm_that_has_it(falling):
     robot, _, file = falling
     plant = Plant(robot, [Stribeck((1,), FALLS)])
