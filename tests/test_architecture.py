@@ -46,6 +46,7 @@ FLOORS = (
         "parameters",
         "progress",
         "shown",
+        "statistics",
         "errors",
         "threads",
     },

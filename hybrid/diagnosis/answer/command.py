@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding
 from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, fitted_values
-from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS, NORMAL, shrunk
+from hybrid.diagnosis.answer.intervals import shrunk
 from hybrid.diagnosis.explanations.servo_fit import (
     WORTH,
     Fit,
@@ -23,11 +23,12 @@ from hybrid.diagnosis.explanations.servo_fit import (
     log_likelihood_ratio,
 )
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.measure import split, unseen_samples
+from hybrid.diagnosis.gap.measure import seconds, split, unseen_samples
 from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
 from hybrid.effects import Effect, Port, effect_at
 from hybrid.recording import Recording
 from hybrid.signals import Motion
+from hybrid.statistics import HALF_WIDTH
 
 _EXPLAINED = 0.95  # least share of the torque's squares that a servo law explains
 _CONTROL_PERIOD = 0.002  # s, longest
@@ -152,7 +153,7 @@ def _fitted_servo(
     found: list[type[Effect]] = []
     # A log may be late by a period.
     least = max(_CONTROL_PERIOD, gap.period)
-    late = whole.latency - NORMAL * whole.latency_std > least
+    late = whole.latency - HALF_WIDTH * whole.latency_std > least
     if late and _better(train, held_out, fit(train, free, immediate=True), whole):
         found.append(_latency())
     scale = False
@@ -218,7 +219,7 @@ def _gains_differ(found: Fit, gap: Gap, train: ServoLog, i: int) -> bool:
     part = hidden_damping(train, found, gap.rate, gap.cutoff)
     hidden = np.array([0.0, (1.0 + error[1]) * part / max(1.0 - part, 1e-3)])
     sizes = np.maximum(error, -error - hidden)
-    return bool((sizes - NORMAL * std > _LEAST_ERROR).any())
+    return bool((sizes - HALF_WIDTH * std > _LEAST_ERROR).any())
 
 
 def _plausible(effect: Effect) -> bool:
@@ -252,7 +253,7 @@ def _finding(
     total: float,
     rng: np.random.Generator,
 ) -> Finding:
-    block, count = _blocks(gap), sum(len(s.test.row) for s in servos)
+    block, count = seconds(gap), sum(len(s.test.row) for s in servos)
     squares = np.zeros((2, block[-1] + 1))
     for s in servos:
         for k, fitted in enumerate((s.without(kind), s.without())):
@@ -270,12 +271,8 @@ def _finding(
     )
 
 
-def _blocks(gap: Gap) -> NDArray[np.intp]:
-    return np.arange(len(gap.fold)) // max(1, round(BLOCK_SECONDS * gap.rate))
-
-
 def _excess(gap: Gap, servos: Sequence[_Servo]) -> Array:
-    block = _blocks(gap)
+    block = seconds(gap)
     excess = np.zeros((block[-1] + 1, gap.robot.size))
     for s in servos:
         left = s.without(*s.found).residual(s.log)

@@ -7,9 +7,9 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.measure import NORMAL
 from hybrid.effects import Effect
 from hybrid.identification.preparation import STANDING
+from hybrid.statistics import robust_std
 
 _AT_REST = 0.01  # rad/s or m/s
 _SIGNIFICANT = 8.0  # standard deviations of the holding torque
@@ -79,7 +79,7 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
         if len(rows) < _LEAST_REST * gap.rate:
             continue
         x = gap.left[rows] - np.median(gap.left[rows], axis=0)
-        noise = NORMAL * np.median(np.abs(x), axis=0)
+        noise = robust_std(x)
         least = np.maximum(_SIGNIFICANT * noise, _LEAST * rated)
         at = np.flatnonzero(np.any(np.abs(x) > least, axis=1))
         ends = np.flatnonzero(np.diff(rows[at]) > _PAUSE * gap.rate) + 1

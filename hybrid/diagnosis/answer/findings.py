@@ -7,12 +7,13 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding, Shrink, Value, listed
-from hybrid.diagnosis.answer.intervals import NORMAL, shrunk
+from hybrid.diagnosis.answer.intervals import shrunk
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect, effect_class
+from hybrid.statistics import HALF_WIDTH
 
 _LEAST_CHANGE = 0.05  # of the largest change at a joint
 _UNDETERMINED = 0.8  # width of an interval, over the range of its shape
@@ -164,7 +165,7 @@ def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
         if x.inner:
             continue
         value, std = effect.values[x.name], effect.std.get(x.name, 0.0)
-        low, high = value - NORMAL * std, value + NORMAL * std
+        low, high = value - HALF_WIDTH * std, value + HALF_WIDTH * std
         determined = k >= len(prior) or bool(std < prior[k])
         if std > 0 and x in effect.shapes:
             bounds = x.scaled(scale)

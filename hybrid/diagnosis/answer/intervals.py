@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Interval, Shrink
 
-BLOCK_SECONDS = 1.0  # correlation time of residuals
-NORMAL = 1.96  # standard deviations on either side of a 95 % interval
 _RESAMPLES = 400
 
 

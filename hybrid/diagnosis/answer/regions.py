@@ -14,8 +14,8 @@ from scipy.special import ndtri
 
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.diagnosis import Region
-from hybrid.diagnosis.answer.intervals import BLOCK_SECONDS
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.measure import seconds
 
 TORQUE_TO_MOTION = "torque to motion"
 
@@ -133,8 +133,7 @@ def _densest(histogram: _Histogram, test: _Test) -> slice | None:
 
 def _histograms(gap: Gap, noise: Array) -> Iterator[_Histogram]:
     """Excess of every joint over every variable, in bins with enough samples."""
-    seconds = gap.trajectory * 1e6 + gap.sampled.t // BLOCK_SECONDS
-    block: Index = np.unique(seconds, return_inverse=True)[1]
+    block = seconds(gap)
     blocks = int(block.max()) + 1
     fewest = _FEWEST_SECONDS * gap.rate
     for i in range(gap.robot.size):

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.noise import relative_noise_power
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.gap.measure import NORMAL
 from hybrid.effects import Effect
+from hybrid.statistics import robust_std
 
 _CHUNK = 0.05  # s
 _LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks
@@ -130,8 +130,7 @@ class Contacts:
             fast = self._fast[among, i]
             x, r = whole[fast], among[fast]
             # The estimate of the noise may contain the contact.
-            usual = (NORMAL * np.median(np.abs(x))) ** 2 if len(x) else 0.0
-            weight = 1.0 / (min(noise[i], usual) or noise[i])
+            weight = 1.0 / (min(noise[i], robust_std(x) ** 2) or noise[i])
             weight = weight / relative_noise_power(x, r, self._rate, self._cutoff)
             columns = self._columns[i][r]
             weighted = columns * weight[:, None]

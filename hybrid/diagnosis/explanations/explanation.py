@@ -15,8 +15,8 @@ from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.explanations.other_samples import TAIL
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.measure import seconds
 
-_BLOCK_SECONDS = 1.0
 _INSTEAD = 0.7  # of the fall of a declared law, least gain of the law in its place
 _ORDERS = 24  # random orders of terms, each with its reverse
 
@@ -116,9 +116,7 @@ class Explanation:
 
     def blocks(self, i: int) -> NDArray[np.intp]:
         """Block of time of each test sample of a joint, for the bootstrap."""
-        rows = self.evidence.rows[i]
-        length = max(1, round(_BLOCK_SECONDS * self.gap.rate))
-        return rows // length
+        return seconds(self.gap)[self.evidence.rows[i]]
 
 
 def explain(search: Search) -> Explanation:

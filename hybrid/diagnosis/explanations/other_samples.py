@@ -18,11 +18,27 @@ from hybrid.diagnosis.gap.background import (
     friction_near_rest,
     sampling_delays,
 )
+from hybrid.diagnosis.gap.measure import seconds
+from hybrid.diagnosis.prior import Prior
 
 if TYPE_CHECKING:
     from hybrid.diagnosis.explanations.posterior import Posterior
 
 TAIL = 0.02  # of a term's squares, which a filter may spread to other samples
+
+
+def add_background(evidence: Evidence, prior: Prior) -> tuple[Index, list[Index]]:
+    """Add the columns of the background, the file's numbers with their typical error.
+
+    Returns:
+        All columns, and those of each block of numbers; see :func:`.background`.
+    """
+    gap = evidence.gap
+    numbers = evidence.add(*background(gap))
+    evidence.scale_prior(np.concatenate(numbers), prior.file_errors[1])
+    others = evidence.add(*friction_near_rest(gap))
+    others += evidence.add(*sampling_delays(gap))
+    return np.concatenate([*numbers, *others]), numbers
 
 
 class OtherSamples:
@@ -44,15 +60,9 @@ class OtherSamples:
         self.evidence = Evidence(gap, use)
         self.evidence.noise = search.evidence.noise
         self.evidence.set_covariances(search.noise.covariances)
-        numbers = self.evidence.add(*background(gap))
-        others = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
-            *sampling_delays(gap)
-        )
+        self.rigid, numbers = add_background(self.evidence, search.prior)
         self.numbers = np.concatenate(numbers[: gap.robot.size])
-        typical = search.prior.file_errors[1]
-        self.evidence.scale_prior(np.concatenate(numbers), typical)
         self.evidence.scale_prior(self.numbers, search.file_error)
-        self.rigid = np.concatenate([*numbers, *others])
         self._own: dict[Cause, Index] = {}
 
     def own(self, cause: Cause) -> Index:
@@ -82,7 +92,7 @@ class OtherSamples:
 
     def second_squares(self, causes: Sequence[Cause]) -> Array:
         """:meth:`squares` of each second, in units of noise, shape (n, seconds)."""
-        second = np.arange(len(self.use)) // max(1, round(self._search.gap.rate))
+        second = seconds(self._search.gap)
         each = zip(self.residuals(causes), self.evidence.rows, strict=True)
         sums = [np.bincount(second[x], y**2, second[-1] + 1) for y, x in each]
         return np.asarray(np.array(sums) / self._search.evidence.noise[:, None])

@@ -28,17 +28,14 @@ from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.other_samples import OtherSamples
+from hybrid.diagnosis.explanations.other_samples import OtherSamples, add_background
 from hybrid.diagnosis.explanations.unknown_laws import UnknownLaws
-from hybrid.diagnosis.gap.background import (
-    background,
-    friction_near_rest,
-    sampling_delays,
-)
+from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.diagnosis.gap.measure import NORMAL, unseen_samples
+from hybrid.diagnosis.gap.measure import unseen_samples
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
+from hybrid.statistics import robust_std
 
 _RIPPLES = 9  # orders at each joint, in the regression that estimates the noise
 
@@ -69,16 +66,10 @@ class Posterior:
         self.gap, self.prior = gap, Prior()
         self.learn = np.ones(len(gap.fold), dtype=bool) if learn is None else learn
         self.evidence = Evidence(gap, self.learn)
-        columns, sizes = background(gap)
-        blocks = self.evidence.add(columns, sizes)
+        self.rigid, blocks = add_background(self.evidence, self.prior)
         self.numbers = np.concatenate(blocks[: gap.robot.size])
-        self._numbers_of = list(zip(map(max, columns), blocks, strict=True))
+        self._numbers_of = list(zip(map(max, background(gap)[0]), blocks, strict=True))
         self.file_error = self.prior.file_errors[1]
-        self.evidence.scale_prior(np.concatenate(blocks), self.file_error)
-        own = self.evidence.add(*friction_near_rest(gap)) + self.evidence.add(
-            *sampling_delays(gap)
-        )
-        self.rigid = np.concatenate([*blocks, *own])
         self.pool = Pool(self.evidence, without)
         self.pool.add_ripples(self.rigid, _RIPPLES)
         estimate_noise(self.evidence, np.arange(self.evidence.size))
@@ -226,8 +217,7 @@ class Posterior:
         for i, (left, rows) in enumerate(zip(lefts, evidence.rows, strict=True)):
             torque = columns[i][rows] @ gains if i in columns else np.zeros(len(rows))
             lasts = np.abs(torque) > np.abs(torque).max(initial=0.0) / 2
-            usual = (NORMAL * np.median(np.abs(left))) ** 2 if len(left) else 0.0
-            noise = min(evidence.noise[i], usual) or evidence.noise[i]
+            noise = min(evidence.noise[i], robust_std(left) ** 2) or evidence.noise[i]
             before += ((left + torque)[lasts] ** 2).sum() / noise
             after += (left[lasts] ** 2 / noise - 1.0).sum()
         return bool(after < self.prior.real_law_error**2 * before)

@@ -19,8 +19,8 @@ from hybrid.diagnosis.explanations.other_samples import OtherSamples
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect
+from hybrid.statistics import HALF_WIDTH
 
-_NORMAL = 1.96  # standard deviations to either side of a 95 % interval
 _OPEN = 10.0  # factor on the priors of gains, so that intervals show the data
 _DRAWS = 64  # shapes from the whole range, and as many from near the best
 _WIDER = 2.0  # factor on the standard deviation of the draws near the best
@@ -75,7 +75,7 @@ def refit(search: Search) -> tuple[Effect, ...]:
             part = known[len(i) :, len(i) :]
             own_candidate = replace(t.candidate, effect=effect)
             far = _profile_range(evidence, base, own_candidate, part)
-            more = np.maximum(far / _NORMAL / np.sqrt(np.diag(covariance)), 1.0)
+            more = np.maximum(far / HALF_WIDTH / np.sqrt(np.diag(covariance)), 1.0)
             covariance *= np.outer(more, more)
         covariance[np.diag_indices(len(here))] += _model_variance(gap, effect)
         certain.append(_reported(effect, covariance))

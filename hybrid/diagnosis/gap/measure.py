@@ -23,10 +23,10 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 from hybrid.signals.filters import butterworth, filter_reach, passes_all
+from hybrid.statistics import robust_std
 
 _REST = 0.7  # periods of the cut-off, reach of declared dry friction near rest
 _FAR = 10.0  # standard deviations of noise, of simulated from measured torque
-NORMAL = 1.4826  # standard deviation of normal noise over its median size
 _BLOCK_SECONDS = 3.0
 _SHORTEST_BLOCK = 0.5  # s
 _MOST_FOLDS = 8
@@ -134,7 +134,7 @@ def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
     slow = low(cutoff=LOWER_BAND * cutoff)
     rough = np.abs(low(cutoff=cutoff) - slow)
     usable = motion.mask | ~motion.mask.any()
-    far = _FAR * NORMAL * np.median(rough[usable], axis=0)
+    far = _FAR * robust_std(rough[usable])
     return np.where(np.abs(slow) > far, motion.tau, simulated)
 
 
@@ -161,6 +161,14 @@ def block_seconds(motions: Sequence[Motion]) -> float:
     """Length of a block of time, [s]: 3 s, or less so that there are eight blocks."""
     total = sum(float(m.t[-1] - m.t[0]) for m in motions)
     return float(np.clip(total / _MOST_FOLDS, _SHORTEST_BLOCK, _BLOCK_SECONDS))
+
+
+def seconds(gap: Gap) -> NDArray[np.intp]:
+    """Second of each sample, shape (M,): a block for the bootstrap.
+
+    Residuals are correlated for about that time.
+    """
+    return np.arange(len(gap.fold)) // max(1, round(gap.rate))
 
 
 def split(gap: Gap) -> NDArray[np.bool_]:
