@@ -30,6 +30,7 @@ from hybrid.effects.encoder_eccentricity import EncoderEccentricity
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.payload import Payload
 from hybrid.effects.presliding import Presliding
+from hybrid.effects.spring import Spring
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
@@ -182,6 +183,18 @@ def test_torque_of_another_clock_is_taken_back_and_named():
     assert delay.shrink["torque"].after < 0.2 * delay.shrink["torque"].before
     for f in with_motion_gap(result, np.random.default_rng(0)).diagnosis.findings:
         assert f.shrink["motion"].removed > 0.8
+
+
+def test_a_gap_larger_than_the_torque_is_explained_and_doubted():
+    """A spring that carries the weight: without it the file is farther off than zero."""
+    balance = Spring((0,), {"stiffness": -10.0})
+    found = examined(logs(balance, size=1), library=("spring", "viscous")).diagnosis
+    assert found.rms[0] > found.rms[0] / found.relative[0]
+    (spring,) = found.findings
+    assert (found.verdict, spring.effect) == ("explained", "spring")
+    low, high = spring.parameters[0].interval
+    assert low < -10.0 < high
+    assert any("is it the file of this robot?" in x for x in found.doubts)
 
 
 @pytest.mark.study

@@ -501,12 +501,12 @@ def test_laws_are_of_every_feed_forward_with_the_speed_of_the_command_or_without
 # --- the course of a diagnosis --------------------------------------------------------
 
 
-def course(*, doubts=(), healthy=None, verdict="explained", effects=()):
+def course(*, too_little=None, healthy=None, verdict="explained", effects=()):
     """What a diagnosis is asked of in turn, with a case and answers that are stated."""
     told, asked = [], {}
     case = SimpleNamespace(
         as_logged="as logged", gap="gap", recordings="logs", without=("x",),
-        doubts=list(doubts), healthy=healthy,
+        too_little=too_little, healthy=healthy,
     )  # fmt: skip
 
     @dataclass(frozen=True)
@@ -554,17 +554,10 @@ def test_a_diagnosis_measures_explains_locates_and_asks_of_the_command():
 def test_nothing_is_asked_of_logs_that_are_not_enough_or_of_a_healthy_model():
     found, told, asked = course(verdict="not_excited")
     assert found.diagnosis.where == () and [x for _, x in told] == [0.0]
-    for given in ({"doubts": ["?"]}, {"healthy": "model"}):
+    for given in ({"too_little": "?"}, {"healthy": "model"}):
         found, told, asked = course(**given)
         assert found.diagnosis.where == ("as logged", 1.0, 2.0) and not asked
         assert found.command == () and len(told) == 2
-
-
-def test_a_case_has_doubts_of_its_motion_and_of_its_simulator(monkeypatch):
-    monkeypatch.setattr(diagnose_module, "too_little_motion", lambda gap: None)
-    monkeypatch.setattr(diagnose_module, "wrong_simulator", lambda gap: f"wrong {gap}")
-    case = _Case([], Convention(), "gap", "gap", (), None)
-    assert case.doubts == ["wrong gap"]
 
 
 # --- rivals ---------------------------------------------------------------------------

@@ -135,7 +135,7 @@ def _examined(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     where = locate(case.as_logged, floor, rng)
     diagnosis = replace(result.diagnosis, where=where)
     # Without the torque of a healthy model a log does not show the servo.
-    if case.doubts or case.healthy:
+    if case.too_little or case.healthy:
         return replace(result, diagnosis=diagnosis)
     tell("asking whether torque follows the command", 0.7)
     distorted = {j for e in result.effects if e.reports for j in e.joints}
@@ -190,20 +190,20 @@ class _Case:
         return cls(recordings, logged, gap, as_logged, tuple(without), healthy)
 
     @cached_property
-    def doubts(self) -> list[str]:
-        """Reasons why no cause can be named."""
-        reasons = too_little_motion(self.gap), wrong_simulator(self.gap)
-        return [x for x in reasons if x is not None]
+    def too_little(self) -> str | None:
+        """Why the logs do not suffice to name a cause; None if they do."""
+        return too_little_motion(self.gap)
 
 
 def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     """Explain the torque of some logs."""
-    gap, logged, doubts = case.gap, case.logged, list(case.doubts)
+    gap, logged = case.gap, case.logged
+    doubts = [x for x in (case.too_little, wrong_simulator(gap)) if x is not None]
     # A delay of all torque is corrected already.
     late = [effect_at(Port.MEASUREMENT, shifts=True).id] if logged.clocks else []
     tell("trying every effect at every joint", 0.1)
     search = Search(gap, split(gap), without=[*case.without, *late])
-    if not doubts:
+    if not case.too_little:
         tell("looking for the most probable explanation", 0.45)
         search.run(tell)
         once = search.happened_in_test()
@@ -226,7 +226,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     error, typical = search.file_error, search.prior.file_errors[1]
     if error > typical:
         doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)
-    if logged.clocks and not case.doubts:
+    if logged.clocks and not case.too_little:
         apart, others = delay_finding(case.as_logged, scored, logged, rng)
         causes, effects = apart.merged(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
