@@ -13,6 +13,7 @@ the effect. To say nothing of a gap that stands above its noise is a miss. With
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
@@ -64,6 +65,20 @@ def line(pair: dict[str, Any]) -> tuple[str, ...]:
     return (withheld["arm"], f"{kind}, {joint}", gap, *said[0], *said[1])
 
 
+def left_over(pairs: Sequence[dict[str, Any]]) -> str:
+    """What other effects leave at the joint, over what the true one leaves, sorted.
+
+    At 1 the recordings do not tell them apart.
+    """
+    ratios = []
+    for withheld, added in ((p["withheld"], p["added"]) for p in pairs):
+        if withheld["outcome"].startswith("another"):
+            j = list(withheld["joints"]).index(withheld["true"][0][1])
+            ratios.append(withheld["unseen"]["after"][j] / added["unseen"]["after"][j])
+    said = ", ".join(f"{x:.2f}" for x in sorted(ratios)) or "–"
+    return f"Left by another effect, over what the true one leaves: {said}"
+
+
 def main() -> None:
     """Diagnose all kinds on all arms twice, print the table, write the report."""
     parser = command_line(__doc__, "own_loops_withheld")
@@ -95,6 +110,7 @@ def main() -> None:
     for part, title in (("withheld", "Withheld"), ("added", "Given back")):
         count = Counter(short(p[part]["outcome"]) for p in pairs)
         counts.append(f"{title}: {counted(count)}")
+    counts.append(left_over(pairs))
     times = [p[part]["cpu_s"] for p in pairs for part in ("withheld", "added")]
     counts.append(f"CPU: mean {sum(times) / len(times):.1f} s, most {max(times):.0f} s")
     command = "python experiments/own_loops_withheld.py"
