@@ -186,7 +186,7 @@ def test_torque_of_another_clock_is_taken_back_and_named():
 
 
 def test_a_gap_larger_than_the_torque_is_explained_and_doubted():
-    """A spring that carries the weight: without it the file is farther off than zero."""
+    """A spring carries the weight: without it the file is worse than no torque."""
     balance = Spring((0,), {"stiffness": -10.0})
     found = examined(logs(balance, size=1), library=("spring", "viscous")).diagnosis
     assert found.rms[0] > found.rms[0] / found.relative[0]

@@ -147,11 +147,11 @@ def test_an_effect_is_the_law_that_it_becomes_at_its_limit(name):
 def test_a_drive_clips_only_near_its_limit():
     asked = 30.0 * np.sin(np.linspace(0, 40, 2000))
     motion = drive(asked, np.clip(asked, -12, 12))
-    assert effect("saturation", limit=12.0, total=1.0).holds(motion)
-    assert effect("saturation", limit=14.0, total=1.0).holds(motion)
-    assert not effect("saturation", limit=16.0, total=1.0).holds(motion)
-    assert not effect("saturation", limit=9.0, total=1.0).holds(motion)
-    assert effect("saturation", limit=9.0).holds(motion)
+    assert effect("saturation", limit=12.0, total=1.0).holds([motion])
+    assert effect("saturation", limit=14.0, total=1.0).holds([motion])
+    assert not effect("saturation", limit=16.0, total=1.0).holds([motion])
+    assert not effect("saturation", limit=9.0, total=1.0).holds([motion])
+    assert effect("saturation", limit=9.0).holds([motion])
 
 
 def test_friction_that_a_file_lacks_is_learned_below_the_limit_only():
@@ -198,7 +198,8 @@ def test_the_direction_of_torque_is_that_beyond_its_onset():
     np.testing.assert_allclose(law.columns(drive(tau, tau), None)[:, 0, 0], direction)
     # Where the torque delivered is hardly ever above the onset, it is a gain.
     small = np.where(np.arange(401) < 150, tau, 0.1)
-    assert not law.columns(drive(tau, small), None).any()
+    assert law.holds([drive(tau, tau)]) and law.holds([log])
+    assert not law.holds([drive(tau, small)])
 
 
 def test_a_dead_zone_is_sure_where_nothing_comes_through_and_it_is_soon_crossed():
@@ -208,9 +209,23 @@ def test_a_dead_zone_is_sure_where_nothing_comes_through_and_it_is_soon_crossed(
     law = effect("deadzone", onset=2.0, total=1.0)
     sure = law.columns(drive(asked, through), None)[:, 0, 0]
     np.testing.assert_allclose(sure, np.clip(asked / 2.0, -1, 1))
-    assert not law.columns(drive(asked, asked), None).any()  # it comes through
+    assert law.holds([drive(asked, through)])
+    assert not law.holds([drive(asked, asked)])  # it comes through
     slow = np.where(np.sin(t) > 0.3, 20.0, 1.0)  # it stays inside for long
-    assert not law.columns(drive(slow, np.where(slow > 2, slow, 0)), None).any()
+    assert not law.holds([drive(slow, np.where(slow > 2, slow, 0))])
+
+
+def test_a_log_that_never_enters_a_dead_zone_says_nothing_against_it():
+    """A law holds for all logs or for none: it foretells those that hardly show it."""
+    t = np.linspace(0, 60, 3000)
+    asked = 20.0 * np.sin(t)
+    crosses = drive(asked, np.where(np.abs(asked) < 2.0, 0.0, asked))
+    beyond = drive(np.abs(asked) + 2.1, np.abs(asked))
+    one = np.append(np.abs(asked[:-1]) + 2.1, 1.9)  # one sample within
+    once = drive(one, np.append(np.abs(asked[:-1]), 1.0))
+    law = effect("deadzone", onset=2.0, total=1.0)
+    assert law.holds([crosses, beyond]) and law.holds([crosses, once])
+    assert not law.holds([beyond]) and not law.holds([once])
 
 
 def test_a_servo_has_its_gains_off_by_a_part():

@@ -262,7 +262,7 @@ def test_a_drive_that_clips_delivers_its_limit_whatever_friction_is_declared(dec
     given = np.clip(asked, -20.0, 20.0) - (0.0 if declared else friction)
     motion = replace(motion, tau=given, asked=asked)
     at = {limit: effect("saturation", limit=limit, total=1.0) for limit in (20.0, 10.0)}
-    assert at[20.0].holds(motion) and not at[10.0].holds(motion)
+    assert at[20.0].holds([motion]) and not at[10.0].holds([motion])
     beyond = asked[:, :1] - np.clip(asked[:, :1], -20.0, 20.0)
     body = RigidBody(robot.chain, motion)
     np.testing.assert_array_equal(at[20.0].columns(motion, body)[:, :, 0], beyond)

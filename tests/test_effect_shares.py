@@ -26,7 +26,7 @@ def some(count, value, other):
 
 
 def clips(motion, limit=LIMIT):
-    return effect("saturation", limit=limit, total=1.0).holds(motion)
+    return effect("saturation", limit=limit, total=1.0).holds([motion])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -76,8 +76,7 @@ def test_the_limit_of_a_drive_is_what_it_delivers_of_clearly_more():
 
 
 def is_dead(motion, **values):
-    law = effect("deadzone", onset=2.0, **values)
-    return bool(law.columns(motion, None).any())
+    return effect("deadzone", onset=2.0, **values).holds([motion])
 
 
 def test_torque_has_a_direction_if_it_is_above_the_onset_for_half_of_the_time():

@@ -12,7 +12,6 @@ from hybrid.diagnosis.advice import advise as advise_module
 from hybrid.diagnosis.advice.advise import Plan, _between
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.diagnose import _Case, examine
-from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations import search as search_module
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.posterior import Posterior

@@ -43,24 +43,33 @@ class Deadzone(Effect):
         """Direction of the torque; see :meth:`Effect.columns`.
 
         The delivered torque has a direction unless it is nearly zero whenever the
-        commanded one is small; then the commanded torque is used. The columns are zero
-        where the data contradict a dead zone: a controller leaves it soon.
+        commanded one is small; then the commanded torque is used.
         """
-        tau, onset = motion.tau[:, self.joints], self.values["onset"]
-        if motion.asked is None:
-            return np.nan_to_num(self._direction(tau))[:, :, None]
-        asked, v = motion.asked[:, self.joints], np.abs(motion.v[:, self.joints])
-        moves = v > _MOVING * v.max()
+        torque = motion.tau
+        if self.values["total"] and motion.asked is not None:
+            torque = motion.asked
+        return np.nan_to_num(self._direction(torque[:, self.joints]))[:, :, None]
+
+    def holds(self, motions: Sequence[Motion]) -> bool:
+        """Whether the torque is outside the zone mostly, and nothing is lost there.
+
+        Else its direction looks like a gain. A controller leaves a dead zone soon.
+        """
+        (j,), onset, both = self.joints, self.values["onset"], []
+        for motion in motions:
+            if motion.asked is None:
+                return True
+            speed = np.abs(motion.v[:, j])
+            moves = speed > _MOVING * speed.max(initial=0.0)
+            both.append(np.abs([motion.tau[moves, j], motion.asked[moves, j]]))
+        tau, asked = np.concatenate(both, axis=1)
         if not self.values["total"]:
-            outside = (np.abs(tau) > onset) & moves  # else it looks like a gain
-            mostly = outside.sum() > _LEAST_OUTSIDE * moves.sum()
-            return self._direction(tau)[:, :, None] * float(mostly)
-        inside, outside = moves & (np.abs(asked) < onset), moves & (abs(asked) >= onset)
-        valid = inside.any() and inside.sum() < _MOST_INSIDE * moves.sum()
-        if valid:
-            least, usual = (np.median(np.abs(tau[x])) for x in (inside, outside))
-            valid = least < _MOST_DELIVERED * min(usual, onset)
-        return self._direction(asked)[:, :, None] * float(valid)
+            return bool(np.mean(tau > onset) > _LEAST_OUTSIDE)
+        inside = asked < onset
+        if not 0.0 < inside.mean() < _MOST_INSIDE:
+            return False
+        least, usual = np.median(tau[inside]), np.median(tau[~inside])
+        return bool(least < _MOST_DELIVERED * min(usual, onset))
 
     @property
     def least_gains(self) -> Array:

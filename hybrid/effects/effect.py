@@ -261,6 +261,14 @@ class Effect(InPlant, Instant, ABC):
         """
         return {}
 
+    def holds(self, motions: Sequence[Motion]) -> bool:
+        """Whether recordings allow its law; if not, it has no torque in a fit to them.
+
+        Args:
+            motions: Motions with the delivered and the commanded torque, [N·m].
+        """
+        return True
+
     def excludes(self, other: Effect) -> bool:
         """Whether both cannot be at once, although they may repeat."""
         return False

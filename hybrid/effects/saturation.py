@@ -50,8 +50,7 @@ class Saturation(Effect):
         tau = motion.tau[:, self.joints]
         if not self.values["total"] or motion.asked is None:
             return np.nan_to_num(self._beyond(tau))[:, :, None]
-        beyond = self._beyond(motion.asked[:, self.joints])
-        return beyond[:, :, None] * float(self.holds(motion))
+        return self._beyond(motion.asked[:, self.joints])[:, :, None]
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
@@ -71,18 +70,22 @@ class Saturation(Effect):
             return {}
         return {"limit": float(np.median(delivered[more])), "total": 1.0}
 
-    def holds(self, motion: Motion) -> bool:
+    def holds(self, motions: Sequence[Motion]) -> bool:
         """Whether a drive that clips delivers its limit when the command is beyond."""
-        if not self.values["total"] or motion.asked is None:
+        if not self.values["total"]:
             return True
-        asked, tau, v = (
-            x[:, self.joints] for x in (motion.asked, motion.tau, motion.v)
-        )
-        tau = self._delivered(motion, asked, tau)
-        limit, moves = self.values["limit"], np.abs(v) > _MOVING * np.abs(v).max()
-        over = moves & (np.abs(asked) > limit)
-        apart = np.abs(np.sign(asked) * tau - limit) > _LIMIT_TOLERANCE * limit
-        return bool((over & apart).sum() <= _MOST_OUTSIDE * over.sum())
+        count, limit = np.zeros(2), self.values["limit"]
+        for motion in motions:
+            if motion.asked is None:
+                continue
+            asked, tau, v = (
+                x[:, self.joints] for x in (motion.asked, motion.tau, motion.v)
+            )
+            tau = self._delivered(motion, asked, tau)
+            over = (np.abs(v) > _MOVING * np.abs(v).max()) & (np.abs(asked) > limit)
+            apart = np.abs(np.sign(asked) * tau - limit) > _LIMIT_TOLERANCE * limit
+            count += (over & apart).sum(), over.sum()
+        return bool(count[0] <= _MOST_OUTSIDE * count[1])
 
     @property
     def least_gains(self) -> Array:

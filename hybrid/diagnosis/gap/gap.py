@@ -150,7 +150,7 @@ class Gap:
                 rest = self._change(effect, motion, body) - columns @ gains
                 columns = columns + rest[:, :, None] * gains / (gains @ gains)
             parts.append(sampler(columns))
-        stacked = np.concatenate(parts)
+        stacked = np.concatenate(parts) * float(effect.holds(self.motions))
         reached = effect.reaches(self.robot.size)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
 
