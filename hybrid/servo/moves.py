@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.servo.drive import NAMES, QUANTITIES
 from hybrid.servo.evidence import COST, Curvature
-from hybrid.servo.problem import SHARED, Estimate, Problem
+from hybrid.servo.problem import SHARED, Estimate, Problem, one_by_one
 
+_ALONE = SHARED | np.array([x.alone for x in QUANTITIES])
 _LARGEST = 1.5  # largest extrapolation, in changes of a probe
 # Not linear, and without effect until it is reached: only the whole change makes sense.
 _WHOLE = ("sign", "ground", "lower", "upper")
@@ -48,13 +49,10 @@ def probed(
     """
     changes = []
     for name, usual in _usual_changes(problem, x, hint).items():
-        k = NAMES.index(name)
+        this = np.array(NAMES)[:, None] == name
         for change in usual:
-            row = np.where(open_[k] & np.isfinite(change), change, 0.0)
-            for own in np.diag(row) if SHARED[k] or QUANTITIES[k].alone else [row]:
-                if own.any():
-                    changes.append(np.zeros_like(x))
-                    changes[-1][k] = own
+            wanted = np.where(this & open_ & np.isfinite(change), change, 0.0)
+            changes += one_by_one(wanted, _ALONE)
     points = [problem.prior.moved(x + each).coordinates for each in changes]
     return changes, problem.errors(points)
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,21 +134,15 @@ class Problem:
         With ``each`` one parameter changes at a time, and its effect on all joints
         counts.
         """
-        alone = found.free & (SHARED[:, None] | each)
-        kinds = np.flatnonzero((found.free & ~alone).any(axis=1)).tolist()
-        rows: list[Any] = [*kinds, *map(tuple, np.argwhere(alone).tolist())]
-        probe, moved, n = _PROBE * self.step, [], np.arange(self.prior.stall.size)
-        for row in rows:
-            y = found.x.copy()
-            y[row] += np.where(found.free[row], probe[row], 0.0)
-            moved.append(y)
+        alone = SHARED | each
+        probes = one_by_one(np.where(found.free, _PROBE * self.step, 0.0), alone)
+        moved = self.errors([found.x + x for x in probes])
         out = np.zeros((*found.free.shape, *found.errors.shape))
-        for row, after in zip(rows, self.errors(moved), strict=True):
-            slope = (after - found.errors) / probe[row]
-            if isinstance(row, tuple):
-                out[row] = slope
-            else:
-                out[row, n, :, n] = slope.T  # each joint its own
+        for probe, after in zip(probes, moved, strict=True):
+            change = after - found.errors
+            for k, j in np.argwhere(probe).tolist():
+                seen = slice(None) if alone[k] else j
+                out[k, j, :, seen] = change[:, seen] / probe[k, j]
         return np.asarray(out[found.free])
 
     def normal(
@@ -206,3 +199,17 @@ class Problem:
         """Posterior covariance of the free parameters, shape (P, P)."""
         matrix, _ = self.normal(found, self.slopes(found, each=True), noise)
         return np.asarray(np.linalg.inv(matrix))
+
+
+def one_by_one(changes: Array, alone: NDArray[np.bool_]) -> list[Array]:
+    """Split changes, (len(QUANTITIES), n), so that only one quantity changes in each.
+
+    It changes at all joints or, where it is ``alone``, (len(QUANTITIES),), at one.
+    """
+    parts = []
+    for k, row in enumerate(changes):
+        for own in np.diag(row) if alone[k] else [row]:
+            if own.any():
+                parts.append(np.zeros_like(changes))
+                parts[-1][k] = own
+    return parts
