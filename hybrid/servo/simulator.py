@@ -103,23 +103,16 @@ class ServoSimulator:
         """Prepare the replays of every stretch with each of some servos."""
         runs = []
         for drive in drives:
-            models: dict[float, tuple[Any, Any]] = {}  # by step
-            runs += [self._run(drive, stretch, models) for stretch in stretches]
+            models, own = dict[float, tuple[Any, Any]](), drive or self._declared
+            for stretch in stretches:
+                parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
+                step = round(stretch.step / parts, 9)
+                if step not in models:
+                    models[step] = self._model(drive, step)
+                control = stretch.goals(own["delay"], own["pace"], parts)
+                state = self._state(*models[step], drive, stretch, control[0])
+                runs.append(Run(stretch, parts, models[step][0], state, control, own))
         return runs
-
-    def _run(
-        self,
-        drive: Drive | None,
-        stretch: Stretch,
-        models: dict[float, tuple[Any, Any]],
-    ) -> Run:
-        parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
-        step, own = round(stretch.step / parts, 9), drive or self._declared
-        if step not in models:
-            models[step] = self._model(drive, step)
-        control = stretch.goals(own["delay"], own["pace"], parts)
-        state = self._state(*models[step], drive, stretch, control[0])
-        return Run(stretch, parts, models[step][0], state, control, own)
 
     def _model(self, drive: Drive | None, step: float) -> tuple[Any, Any]:
         """A model of the servo, and data that models with its joints share."""

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -97,7 +96,9 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             given |= {"range": limits[j] * turn, "limited": "true"}
         document.set(joint, given)
         motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
-        motor |= _delay(float(drive["delay"][j]), step)
+        if (delay := float(drive["delay"][j])) > 0:
+            samples = math.ceil(delay / step) + 1
+            motor |= {"delay": delay, "nsample": samples, "interp": "linear"}
         # The motor of the servo has all friction of the joint.
         remove_passive_motors(document, name)
         own = actuator_tags(document, name)
@@ -110,10 +111,3 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             document.insert_child(sections[0], text)
         else:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
-
-
-def _delay(delay: float, step: float) -> dict[str, Any]:
-    """Attributes of a delay, [s], with a buffer of steps of the simulation, [s]."""
-    if delay <= 0:
-        return {}
-    return {"delay": delay, "nsample": math.ceil(delay / step) + 1, "interp": "linear"}
