@@ -212,7 +212,7 @@ def test_a_servo_s_torque_is_that_of_its_law():
         presliding=[2e-3, 1e-3], offset=[0.7, -0.4], spring=[0.0, 2.0],
         armature=[0.06, 0.04], stall=[12.0, 9.0], stiffness=[30.0, 22.0],
     )  # fmt: skip
-    model = servo_spec(ROBOT).compile()
+    model = servo_spec(ROBOT, FILE).compile()
     install(model, ROBOT, drive, mujoco.MjData(model))
     model.opt.timestep = 1e-7  # the bristles have no time to move
     data = mujoco.MjData(model)
@@ -642,7 +642,7 @@ def test_a_written_file_has_the_numbers_of_the_model_that_is_replayed(tmp_path):
     )  # fmt: skip
     write_servos(robot, drive, tmp_path / "new.xml")
     written = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
-    model = servo_spec(robot, drive["zero"], drive["sign"]).compile()
+    model = servo_spec(robot, drive).compile()
     install(model, robot, drive, mujoco.MjData(model))
     for name in (
         "dof_damping", "dof_armature", "dof_frictionloss", "jnt_stiffness", "jnt_range",

@@ -21,7 +21,6 @@ from hybrid.servo.model import (
     lay_ground,
     places,
     servo_spec,
-    weight,
 )
 from hybrid.servo.noise import INEXACT
 from hybrid.servo.stretch import Stretch
@@ -133,9 +132,7 @@ class ServoSimulator:
         if drive is None:
             spec = declared_spec(self.robot)
         else:
-            plays = np.flatnonzero(drive["play"]).tolist()
-            spec = servo_spec(self.robot, drive["zero"], drive["sign"], plays)
-            drive.tilt.edit_spec(spec, self.robot.joints)
+            spec = servo_spec(self.robot, drive)
             lay_ground(spec, self.robot)
         model = spec.compile()
         model.opt.timestep = step
@@ -150,11 +147,15 @@ class ServoSimulator:
         first: Array,
     ) -> Array:
         """Time, positions, speeds, and bends of the bristles if there are any."""
+        import mujoco
+
         own, behind = places(plays := (drive or self._declared).plays)
         q, v, bent = np.zeros(model.nq), np.zeros(model.nv), np.zeros(0)
         q[own], v[own] = stretch.q[0], stretch.v
         if drive is not None:
-            down = weight(model, data, own, stretch.q[0], stretch.v)
+            data.qpos[own], data.qvel[own] = stretch.q[0], stretch.v
+            mujoco.mj_forward(model, data)
+            down = data.qfrc_bias[own].copy()  # by gravity and speed
             bent = bristles(drive, stretch, first, down)
             # The weight of the link presses it against one side of the gap.
             q[behind] = -np.sign(down[plays]) * drive["play"][plays]

@@ -60,8 +60,9 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
 
 def _skeleton(robot: Robot) -> Document:
     """Links, joints and servos of an arm as MJCF, without shapes."""
-    spec = servo_spec(robot)
-    for name, ends in zip(robot.joints, stops(Drive.declared(robot)), strict=True):
+    declared = Drive.declared(robot)
+    spec = servo_spec(robot, declared)
+    for name, ends in zip(robot.joints, stops(declared), strict=True):
         spec.joint(name).range = ends
     spec.option.timestep = file_step(robot)
     spec.compile()
