@@ -80,11 +80,6 @@ class Problem:
         """A copy with other stretches."""
         return replace(self, stretches=stretches, _known={})
 
-    @property
-    def measured(self) -> Array:
-        """Positions of all stretches, shape (M, n), [rad]."""
-        return np.concatenate([x.q for x in self.stretches])
-
     @cached_property
     def _limits(self) -> tuple[Array, Array]:
         """Lower bound of the RMS error [rad], and error of the laws [rad²], (n,)."""
@@ -106,10 +101,11 @@ class Problem:
         drives = {x.tobytes(): self.prior.moved(x) for x in points}
         new = {key: x for key, x in drives.items() if key not in self._known}
         if new:
-            measured, known = self.measured, self._known
+            measured = np.concatenate([x.q for x in self.stretches])
             found = self.simulator.replay(self.stretches, list(new.values()))
             for key, q in zip(new, found, strict=True):
-                known[key] = np.nan_to_num(np.concatenate(q) - measured, nan=1e3)
+                errors = np.concatenate(q) - measured
+                self._known[key] = np.nan_to_num(errors, nan=1e3)
         out = [self._known[x.tobytes()] for x in points]
         while out and len(self._known) * out[0].nbytes > _KEPT:
             del self._known[next(iter(self._known))]
