@@ -154,7 +154,7 @@ def test_of_two_memories_the_short_one_is_sooner_and_the_long_one_sees_more():
 
 
 def update(to, H, error, forgetting=1.0):
-    for _ in to.update(to.project(H), error, forgetting):
+    for _ in to.update(H @ to.root, error, forgetting):
         pass
 
 

@@ -76,7 +76,7 @@ class OnlineEstimate:
         inflation, noise = self.noise.inflation, self.noise.std[joints]
         share = 1.0 / (noise * np.sqrt(inflation))
         H, error = J[joints] * share[:, None], self.error[joints] * share
-        projected = self.filter.project(H)
+        projected = H @ self.filter.root
         std = np.sqrt(1.0 + np.einsum("ij,ij->i", projected, projected))
         # The detector accounts for the correlation of successive rows itself.
         unit = np.sqrt(inflation) / std

@@ -15,9 +15,7 @@ _MOST_CORRELATION = 0.98
 class TorqueNoise:
     """Variance of each joint's error and its correlation in time, with fading memory.
 
-    Args:
-        std: Initial standard deviation, shape (n,), [N·m].
-        rate: Updates per second, [Hz].
+    ``std`` is the initial one, shape (n,), [N·m], at a ``rate`` of updates, [Hz].
     """
 
     def __init__(self, std: Array, rate: float) -> None:
