@@ -16,14 +16,7 @@ from hybrid.robot.edit.drives import actuator_tags
 from hybrid.robot.edit.extra_friction import remove_passive_motors
 from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
 from hybrid.servo.drive import Drive
-from hybrid.servo.model import (
-    dampings,
-    file_step,
-    motors,
-    servo_spec,
-    springs,
-    stops,
-)
+from hybrid.servo.model import dampings, file_step, motors, servo_spec, springs, stops
 
 _MOTOR = {
     "gear": 1.0,
