@@ -120,12 +120,9 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
     command = np.concatenate([s.command for s in problem.stretches])
     out: dict[str, list[Array]] = {}
     for k, each in enumerate(QUANTITIES):
-        if each.positive:
-            out[each.name] = [0.5 * ones, -0.5 * ones, hint[k] - x[k]]
-        else:
-            out[each.name] = [spread[k], -spread[k], hint[k] - x[k]]
-        if each.least == 0.0:
-            out[each.name] = [spread[k], 0.25 * spread[k], hint[k] - x[k]]
+        size = 0.5 * ones if each.positive else spread[k]
+        other = 0.25 * size if each.least == 0.0 else -size
+        out[each.name] = [size, other, hint[k] - x[k]]
     # A limit has no effect until it is reached, so that several values are tried.
     out["stall"] = [-far * spread[NAMES.index("stall")] for far in (1.0, 2.0, 3.0)]
     out["pace"] = [share / fastest for share in (1.2, 2.0, 4.0)]

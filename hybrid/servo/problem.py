@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.servo.drive import QUANTITIES, Drive
+from hybrid.servo.drive import LOGARITHMIC, QUANTITIES, Drive
 from hybrid.servo.noise import Noise, inexactness, resolution, usual_error
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
@@ -29,7 +29,6 @@ _DAMPINGS = (0.01, 1.0, 100.0)  # Levenberg–Marquardt
 _LARGEST = 1.0  # step of a logarithm; of other values in prior deviations
 _LEAST = 1e-4  # rad: resolution of an encoder without visible steps
 _KEPT = 64 * 2**20  # bytes of replays in the cache
-LOGARITHMIC = np.array([q.positive for q in QUANTITIES])[:, None]
 _PROBE = np.array([q.probe for q in QUANTITIES])[:, None]
 SHARED = np.array([q.shared for q in QUANTITIES])
 
