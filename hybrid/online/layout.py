@@ -16,7 +16,7 @@ class RowLayout:
     For each joint in turn: the derivatives of its torque by the unknowns that change
     it, and by mass and first moments of the last link; its torque; and whether it
     moves. The unknowns are those of the problem, then the shapes of its effects, which
-    have no places if they are constant.
+    are constant and have no places unless ``shapes``.
 
     Attributes:
         gains: Index of each gain among the unknowns, −1 if it is none, by effect.

@@ -15,7 +15,7 @@ _MOST_CORRELATION = 0.98
 class TorqueNoise:
     """Variance of each joint's error and its correlation in time, with fading memory.
 
-    ``std`` is the initial one, shape (n,), [N·m], at a ``rate`` of updates, [Hz].
+    It starts at ``std``, shape (n,), [N·m], and has ``rate`` updates per second, [Hz].
     """
 
     def __init__(self, std: Array, rate: float) -> None:

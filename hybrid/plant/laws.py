@@ -84,9 +84,9 @@ def _grouped(laws: Sequence[JointEffect]) -> list[list[JointEffect]]:
     groups: dict[Any, list[JointEffect]] = {}
     before = Counter[Any]()
     for effect in laws:
-        kind, place = type(effect), (type(effect), effect.joints)
-        groups.setdefault((kind, before[place]), []).append(effect)
-        before[place] += 1
+        kind = type(effect)
+        groups.setdefault((kind, before[kind, effect.joints]), []).append(effect)
+        before[kind, effect.joints] += 1
     return list(groups.values())
 
 

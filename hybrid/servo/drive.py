@@ -162,7 +162,8 @@ class Drive:
     @property
     def coordinates(self) -> Array:
         """Values to fit, logarithms of positive ones, shape (len(QUANTITIES), n)."""
-        return np.asarray(np.log(self.values, self.values.copy(), where=LOGARITHMIC))
+        out = self.values.copy()
+        return np.asarray(np.log(out, out=out, where=LOGARITHMIC))
 
     def moved(self, coordinates: Array) -> Drive:
         """A copy with other coordinates."""
