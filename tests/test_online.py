@@ -160,7 +160,7 @@ def test_too_low_a_rate_is_refused():
 
 
 def update(square, H, error, forgetting=1.0):
-    for _ in square.update(square.project(H), error, forgetting):
+    for _ in square.update(H @ square.root, error, forgetting):
         pass
 
 

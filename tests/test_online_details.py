@@ -109,7 +109,7 @@ def pushed(
 ):
     """Times at which a payload is noticed that shows as an error from a time on."""
     with patch.object(payload_change, "_MEMORIES", memories):
-        to = PayloadChange(rate=RATE, mass=mass, reach=0.1)
+        to = PayloadChange(RATE, mass * np.array([1.0, 0.1, 0.1, 0.1]))
     found, J = [], np.array([[1.0, 0.0, 0.0, 0.0]])
     for k in range(round(seconds * RATE)):
         t = k / RATE
@@ -154,7 +154,7 @@ def test_of_two_memories_the_short_one_is_sooner_and_the_long_one_sees_more():
 
 
 def update(to, H, error, forgetting=1.0):
-    for _ in to.update(to.project(H), error, forgetting):
+    for _ in to.update(H @ to.root, error, forgetting):
         pass
 
 

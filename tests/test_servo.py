@@ -522,7 +522,8 @@ def test_a_written_file_moves_as_the_servos_that_were_found(folder, tmp_path, ch
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
     # The file's delays are filled with the first command, as of an arm at rest.
-    stretch = replace(stretches_of([log(9, seconds=6.0)])[0], before=None)
+    whole = stretches_of([log(9, seconds=6.0)])[0]
+    stretch = replace(whole, sent=whole.command)
     parts = round(stretch.step / model.opt.timestep)
     ours = ServoSimulator(robot, step=model.opt.timestep)
     ((expected,),) = ours.replay([stretch], [drive])

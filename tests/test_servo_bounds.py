@@ -73,7 +73,7 @@ def test_a_step_that_no_file_states_is_two_milliseconds():
 @pytest.mark.parametrize("down", [[0.0, 0.0, -9.81], [0.0, 9.81, 0.0]])
 def test_the_ground_is_a_millimetre_below_the_reach_of_the_arm(down):
     robot = replace(BARE, chain=replace(BARE.chain, gravity=np.array(down)))
-    spec = servo_spec(robot)
+    spec = servo_spec(robot, Drive.declared(robot))
     lay_ground(spec, robot)
     model = spec.compile()
     up = -np.array(down) / 9.81
@@ -90,7 +90,7 @@ def test_the_ground_is_a_millimetre_below_the_reach_of_the_arm(down):
     if down[2]:
         np.testing.assert_allclose(heights(robot, q), [[-0.3, -0.9], [0.3, 0.9]])
     none = replace(robot, chain=replace(robot.chain, gravity=np.zeros(3)))
-    spec = servo_spec(none)
+    spec = servo_spec(none, Drive.declared(none))
     lay_ground(spec, none)
     assert spec.compile().ngeom == 0
 

@@ -130,7 +130,7 @@ def test_a_part_knows_ten_seconds_of_earlier_commands():
     whole = Stretch(STEP, command, -command, np.array([7.0]), "log")
     assert whole.duration == pytest.approx(1999 * STEP)
     first = whole.cut(0, 100)
-    assert first.v == [7.0] and len(first.before) == 0
+    assert first.v == [7.0] and len(first.sent) == 100
     late = whole.cut(900, 100)
     assert (late.source, late.duration) == ("log", pytest.approx(99 * STEP))
     np.testing.assert_array_equal(late.sent[:, 0], np.arange(400.0, 1000.0))
@@ -148,7 +148,7 @@ def test_a_log_starts_at_its_speed_and_stretches_of_two_seconds_count():
     assert (found.step, found.source) == (pytest.approx(STEP), "log")
     np.testing.assert_allclose(found.q, q[2:], atol=1e-9)
     np.testing.assert_allclose(found.command, q[2:] + 0.1, atol=1e-9)
-    np.testing.assert_allclose(found.before, q[:2] + 0.1, atol=1e-9)
+    np.testing.assert_allclose(found.sent, q + 0.1, atol=1e-9)
     np.testing.assert_allclose(found.v, [0.5, np.cos(t[2])], atol=1e-3)
     rest = replace(log, q=np.where(t[:, None] < 0.1, q[0], q), command=q)
     (still,) = stretches_of([rest])
@@ -171,7 +171,8 @@ def test_parts_are_those_of_most_motion_of_every_log_in_turn():
 
     def names(seconds):
         parts = chosen(logs, seconds, 5.0)
-        return [(x.source, bool(x.q[0, 0] == 0.0 or len(x.before) == 0)) for x in parts]
+        first = [x.q[0, 0] == 0.0 or len(x.sent) == len(x.q) for x in parts]
+        return [(x.source, bool(k)) for x, k in zip(parts, first, strict=True)]
 
     assert names(1.0) == [("a", True)]
     assert names(10.0) == [("a", True), ("b", False)]
@@ -211,7 +212,7 @@ def test_a_servo_s_torque_is_that_of_its_law():
         presliding=[2e-3, 1e-3], offset=[0.7, -0.4], spring=[0.0, 2.0],
         armature=[0.06, 0.04], stall=[12.0, 9.0], stiffness=[30.0, 22.0],
     )  # fmt: skip
-    model = servo_spec(ROBOT).compile()
+    model = servo_spec(ROBOT, FILE).compile()
     install(model, ROBOT, drive, mujoco.MjData(model))
     model.opt.timestep = 1e-7  # the bristles have no time to move
     data = mujoco.MjData(model)
@@ -641,7 +642,7 @@ def test_a_written_file_has_the_numbers_of_the_model_that_is_replayed(tmp_path):
     )  # fmt: skip
     write_servos(robot, drive, tmp_path / "new.xml")
     written = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
-    model = servo_spec(robot, drive["zero"], drive["sign"]).compile()
+    model = servo_spec(robot, drive).compile()
     install(model, robot, drive, mujoco.MjData(model))
     for name in (
         "dof_damping", "dof_armature", "dof_frictionloss", "jnt_stiffness", "jnt_range",

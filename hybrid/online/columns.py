@@ -59,15 +59,13 @@ class InstantColumns:
 
     def _find_rigid(self, robot: Robot) -> None:
         """Find the regressor entries that are needed, and their places in a row."""
-        n, layout, kept = robot.size, self.layout, np.array(self._problem.base.kept)
+        n, layout = robot.size, self.layout
         inertial = np.flatnonzero(np.isin(layout.unknowns, self._problem.rigid))
         joints, self._base = layout.joints[inertial], layout.unknowns[inertial]
         self._inertial, self._of_joint = inertial, np.eye(n)[joints]
-        last = 10 * n - 10 + np.arange(PAYLOAD)
-        columns = np.concatenate([kept[self._base], np.tile(last, n)])
-        rows = np.concatenate([joints, np.repeat(np.arange(n), PAYLOAD)])
-        entries = np.ravel_multi_index((rows, columns), (n, 10 * n)).tolist()
-        self._regressor = regressor_law(robot.chain, tuple(entries))
+        last = np.arange(10 * n**2).reshape(n, n, 10)[:, -1, :PAYLOAD].ravel()
+        entries = (*self._problem.link_entries, *last.tolist())
+        self._regressor = regressor_law(robot.chain, entries)
         self._targets = np.concatenate([inertial, layout.payload.ravel()])
 
     def _compile_laws(self) -> None:

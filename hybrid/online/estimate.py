@@ -5,8 +5,8 @@ from collections.abc import Generator
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.online.initial_estimate import REACH, InitialEstimate, payload_sizes
-from hybrid.online.layout import RowLayout
+from hybrid.online.initial_estimate import InitialEstimate, payload_sizes
+from hybrid.online.layout import PAYLOAD, RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import PayloadChange, likely_payload
 from hybrid.online.square_root import SquareRootFilter
@@ -39,7 +39,7 @@ class OnlineEstimate:
         self._sizes = payload_sizes(_PAYLOAD)
         self._payload = start.payload_directions(self._sizes)
         self.noise, self._layout = TorqueNoise(noise, rate), layout
-        self._detector = PayloadChange(rate=rate, mass=_PAYLOAD, reach=REACH)
+        self._detector = PayloadChange(rate, self._sizes[:PAYLOAD])
         self._forgetting, self._mixing = forgetting, mixing
         self._before = self.filter.mean.copy(), self.filter.covariance
         self.error = np.zeros(len(noise))
@@ -76,7 +76,7 @@ class OnlineEstimate:
         inflation, noise = self.noise.inflation, self.noise.std[joints]
         share = 1.0 / (noise * np.sqrt(inflation))
         H, error = J[joints] * share[:, None], self.error[joints] * share
-        projected = self.filter.project(H)
+        projected = H @ self.filter.root
         std = np.sqrt(1.0 + np.einsum("ij,ij->i", projected, projected))
         # The detector accounts for the correlation of successive rows itself.
         unit = np.sqrt(inflation) / std

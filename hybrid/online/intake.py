@@ -1,6 +1,7 @@
 """Acceptance of the samples of a stream, and their grouping into blocks."""
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,6 @@ from hybrid.arrays import Array
 from hybrid.errors import IdentificationError
 from hybrid.online.health import Health
 from hybrid.signals.streaming import STRETCH
-
-_OUTCOMES = ("used", "not_finite", "implausible", "repeated", "late", "jumped")
 
 _RESTART_AFTER = 10  # rejected samples that follow each other
 _CLOSEST = 0.1  # of a period: two samples that are closer are repeated
@@ -81,7 +80,7 @@ class Intake:
         self._followers = self._between = 0
         self._stamp, self._period = math.nan, 1.0 / rate
         self._lost, self._gain = 0.0, 1.0 / (1.0 + rate * _MEMORY)
-        self._count = dict.fromkeys((*_OUTCOMES, "missing", "restarts"), 0)
+        self._count = Counter[str]()  # by the names of Health
 
     @property
     def now(self) -> float:
@@ -92,7 +91,6 @@ class Intake:
     def health(self) -> Health:
         """Counts of the samples so far."""
         return Health(
-            received=sum(self._count[outcome] for outcome in _OUTCOMES),
             **self._count,
             lost=self._lost,
             rate=1.0 / self._period,
@@ -109,6 +107,7 @@ class Intake:
         """
         row = self._row(sample)
         outcome = self._outcome(row)
+        self._count["received"] += 1
         self._count[outcome] += 1
         self._lost += (float(outcome != "used") - self._lost) * self._gain
         if outcome != "used":

@@ -15,11 +15,8 @@ class RowLayout:
 
     For each joint in turn: the derivatives of its torque by the unknowns that change
     it, and by mass and first moments of the last link; its torque; and whether it
-    moves. The unknowns are those of the problem, then the shapes of its effects.
-
-    Args:
-        problem: The unknowns.
-        shapes: Whether shapes have places; they are constant if not.
+    moves. The unknowns are those of the problem, then the shapes of its effects, which
+    are constant and have no places unless ``shapes``.
 
     Attributes:
         gains: Index of each gain among the unknowns, −1 if it is none, by effect.

@@ -15,9 +15,7 @@ _MOST_CORRELATION = 0.98
 class TorqueNoise:
     """Variance of each joint's error and its correlation in time, with fading memory.
 
-    Args:
-        std: Initial standard deviation, shape (n,), [N·m].
-        rate: Updates per second, [Hz].
+    It starts at ``std``, shape (n,), [N·m], and has ``rate`` updates per second, [Hz].
     """
 
     def __init__(self, std: Array, rate: float) -> None:

@@ -52,14 +52,12 @@ class PayloadChange:
 
     Args:
         rate: Updates per second, [Hz].
-        mass: Usual mass of a payload, [kg].
-        reach: Usual distance of its centre from the last joint, [m].
+        sizes: Usual mass [kg] and first moments [kg·m] of a payload, shape (4,).
     """
 
-    def __init__(self, *, rate: float, mass: float, reach: float) -> None:
+    def __init__(self, rate: float, sizes: Array) -> None:
         self._fade = np.exp(-1.0 / (rate * np.array(_MEMORIES)))
-        usual = np.array([mass, *3 * [mass * reach]])
-        self._prior = np.diag(1.0 / usual**2)
+        self._prior = np.diag(1.0 / sizes**2)
         # Information matrix of the derivatives; in the last column their products with
         # the errors.
         self._sums = np.zeros((len(_MEMORIES), PAYLOAD, PAYLOAD + 1))

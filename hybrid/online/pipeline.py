@@ -15,16 +15,10 @@ States = tuple[Array, Array, Array]  # position, speed and acceleration, (B, n) 
 class Pipeline:
     """Turns a block of samples into one filtered row.
 
-    A block consists of B groups of samples. A group has the mean torque of its samples,
-    and one row; these rows are filtered to one.
-
-    Args:
-        columns: Columns of an arm and its effects at B instants.
-        group: Number of samples g in a group.
-        differentiator: Differentiates positions; None if samples contain speed and
-            acceleration.
-        low_pass: Filter of the rows; None to use the last row of each block.
-        standing: Speed below which a joint stands, shape (n,), [rad/s].
+    A block consists of B groups of ``group`` samples. A group has the mean torque of
+    its samples, and one row; these rows are filtered to one, or the last one is used.
+    Positions are differentiated unless samples contain speed and acceleration. A joint
+    stands below the speed ``standing``, shape (n,), [rad/s].
     """
 
     def __init__(

@@ -44,20 +44,14 @@ class SquareRootFilter:
         """Standard deviation of each unknown, shape (d,)."""
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
 
-    def project(self, H: Array) -> Array:
-        """H·S, shape (m, d): square root of the predicted observation covariance.
-
-        H is the derivative of an observation of unit noise by the unknowns.
-        """
-        return np.asarray(H @ self.root)
-
     def update(
         self, projected: Array, error: Array, forgetting: float
     ) -> Iterator[None]:
         """Update with an observation, in two steps.
 
-        It is :meth:`project`-ed. The error, observation less prediction over the noise,
-        has the shape (m,); the forgetting factor λ is at most 1.
+        An observation of unit noise, with derivative H by the unknowns, is given as
+        H·S, shape (m, d). The error, observation less prediction over the noise, has
+        the shape (m,); the forgetting factor λ is at most 1.
         """
         power, turn, _ = lapack.dsyevd(projected @ projected.T)
         power = np.maximum(power, _ROUNDING)

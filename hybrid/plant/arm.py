@@ -13,12 +13,7 @@ from hybrid.effects import Effect, JointEffect, Port
 from hybrid.errors import EffectError, HybridError
 from hybrid.robot.robot import Robot
 
-INTEGRATORS = {
-    "euler": "mjINT_EULER",
-    "implicit": "mjINT_IMPLICIT",
-    "implicitfast": "mjINT_IMPLICITFAST",
-    "rk4": "mjINT_RK4",
-}
+_INTEGRATORS = "euler", "implicit", "implicitfast", "rk4"
 # Impedance of dry friction, which MuJoCo holds as a soft constraint. A stuck joint
 # creeps with (1 − impedance)·step of its free acceleration.
 IMPEDANCE = 0.9999
@@ -65,9 +60,9 @@ def build_arm(
     """
     import mujoco
 
-    if integrator not in INTEGRATORS:
+    if integrator not in _INTEGRATORS:
         raise HybridError(
-            f"no integrator {integrator!r}; valid are {', '.join(INTEGRATORS)}"
+            f"no integrator {integrator!r}; valid are {', '.join(_INTEGRATORS)}"
         )
     if not 1e-6 <= step <= 0.01:
         raise HybridError(f"step is {step:g} s, valid is 1e-6 to 0.01 s")
@@ -81,7 +76,8 @@ def build_arm(
         reason = str(error).replace("\n", " ")
         raise HybridError(f"MuJoCo refuses {robot.name!r}: {reason}") from error
     model.opt.timestep = step
-    model.opt.integrator = getattr(mujoco.mjtIntegrator, INTEGRATORS[integrator])
+    number = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    model.opt.integrator = number
     # An automatic reset would move the arm without a warning; Lockstep stops instead.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     model.opt.tolerance = 1e-12

@@ -102,9 +102,7 @@ def couplings(rows: Array) -> list[Effect]:
     ]
 
 
-def coupled_rows(
-    effects: Sequence[TransmissionCoupling],
-) -> tuple[Array, list[Effect]]:
+def coupled_rows(effects: Sequence[TransmissionCoupling]) -> tuple[Array, list[Effect]]:
     """Couplings as rows of :attr:`.Robot.coupled`, and what they cannot have.
 
     The sums of values below zero, with which MuJoCo would refuse a file, are effects

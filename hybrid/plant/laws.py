@@ -1,5 +1,6 @@
 """Laws of many joints and trajectories, evaluated together at each step."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -80,16 +81,13 @@ class Laws:
 
 def _grouped(laws: Sequence[JointEffect]) -> list[list[JointEffect]]:
     """Groups of effects of one class in which no joint occurs twice."""
-    groups: list[list[JointEffect]] = []
+    groups: dict[Any, list[JointEffect]] = {}
+    before = Counter[Any]()
     for effect in laws:
-        for group in groups:
-            occupied = {e.joints for e in group}
-            if type(group[0]) is type(effect) and effect.joints not in occupied:
-                group.append(effect)
-                break
-        else:
-            groups.append([effect])
-    return groups
+        kind = type(effect)
+        groups.setdefault((kind, before[kind, effect.joints]), []).append(effect)
+        before[kind, effect.joints] += 1
+    return list(groups.values())
 
 
 def _group(effects: Sequence[JointEffect]) -> _Group:
@@ -116,8 +114,5 @@ def part(state: JointState, where: slice | Index | list[int]) -> JointState:
     """State of some of the joints."""
     if isinstance(where, slice) and where == slice(0, state.q.shape[1]):
         return state
-    return JointState(
-        state.t[:, where], state.q[:, where], state.v[:, where],
-        state.a[:, where], state.sign[:, where], state.load[:, where],
-        None if state.temperature is None else state.temperature[:, where],
-    )  # fmt: skip
+    signals = {k: x[:, where] for k, x in vars(state).items() if x is not None}
+    return JointState(**signals)

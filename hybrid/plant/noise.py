@@ -98,11 +98,8 @@ class Noise:
         step = np.where(self.position_resolution > 0, self.position_resolution, 1.0)
         q = np.where(self.position_resolution > 0, np.round(q / step) * step, q)
         v = signals["v"] + self.speed_std * rng.standard_normal(shape)
-        return signals | {
-            "q": q,
-            "v": v,
-            "tau": signals["tau"] + self._torque(shape[0], rate, rng),
-        }
+        tau = signals["tau"] + self._torque(shape[0], rate, rng)
+        return signals | {"q": q, "v": v, "tau": tau}
 
     def _torque(self, samples: int, rate: float, rng: np.random.Generator) -> Array:
         """Stationary torque noise from its first sample on, shape (N, n), [N·m]."""

@@ -201,7 +201,7 @@ class Plant:
     ) -> Recording:
         samples = 1 + _samples(reference, self.log_rate)
         t = clock[:samples]
-        log = {name: signals[name][:samples, k] for name in ("q", "v", "tau")}
+        log = {name: x[:samples, k].copy() for name, x in signals.items()}
         for effect in self.effects:
             # An effect that changes the delivered torque leaves the logged one as it
             # is: its `report`, which a fit uses, must not be applied again.
@@ -213,7 +213,7 @@ class Plant:
             q=log["q"],
             tau=log["tau"],
             v=log["v"],
-            command=signals["command"][:samples, k].copy(),
+            command=log["command"],
             joints=self.robot.joints,
             source=f"simulated {self.robot.name}, trajectory {k + 1}",
         )

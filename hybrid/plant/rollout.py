@@ -35,9 +35,8 @@ class Windows:
     def of(self, signals: Sequence[Array], factor: int = 1) -> Array:
         """Signals in the windows, shape (factor·S + 1, B, ...).
 
-        Args:
-            signals: One for each motion, shape (factor·(N − 1) + 1, ...).
-            factor: Sampling rate of the signals over that of the motions.
+        Each motion has a signal of shape (factor·(N − 1) + 1, ...), as ``factor`` times
+        its samples.
         """
         along = np.arange(factor * self.samples + 1)
         parts = [

@@ -49,14 +49,7 @@ class Servo:
             object.__setattr__(self, name, x)
 
     @classmethod
-    def tuned(
-        cls,
-        arm: Arm,
-        robot: Robot,
-        *,
-        period: float,
-        lag: Array,
-    ) -> Servo:
+    def tuned(cls, arm: Arm, robot: Robot, *, period: float, lag: Array) -> Servo:
         """Gains for a natural frequency at each joint's largest inertia, or higher.
 
         They are higher where usual friction would stop the joint, and low enough for

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import cache
 from io import StringIO
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from hybrid.extras import check_extra
 from hybrid.robot import Robot
+from hybrid.servo.drive import Drive
 from hybrid.servo.model import lay_ground, servo_spec
 
 if TYPE_CHECKING:
@@ -39,8 +41,9 @@ _FIELDS = (
     "jnt_stiffness",
     "qpos0",
     "qpos_spring",
+    "opt.gravity",
+    "opt.timestep",
 )
-_OPTIONS = "gravity", "timestep"
 _MOTORS = ("actuator_gainprm", "actuator_biasprm", "actuator_dynprm")
 _SEARCHES = 4  # of the solver, and of its lines: stops of joints need no more
 _STEPS = 512  # of one call of the loop
@@ -81,7 +84,7 @@ class GpuRollout:
         with redirect_stdout(StringIO()):  # it tells that Warp is not there
             from mujoco import mjx
 
-        spec = servo_spec(robot)
+        spec = servo_spec(robot, Drive.declared(robot))
         for actuator in spec.actuators:
             spec.delete(actuator)
         lay_ground(spec, robot)
@@ -101,14 +104,15 @@ class GpuRollout:
         for goals, x in zip(control, every, strict=True):
             goals[: len(x.control)] = x.control
             goals[len(x.control) :] = x.control[-1]
-        models = list({id(x.model): x.model for x in every}.values())
-        row = {id(m): k for k, m in enumerate(models)}
+        models = {id(x.model): x.model for x in every}
+        row = {key: k for k, key in enumerate(models)}
         which = [row[id(x.model)] for x in every]
-        fields = {x: np.array([getattr(m, x) for m in models])[which] for x in _FIELDS}
-        for name in _OPTIONS:
-            values = np.array([getattr(m.opt, name) for m in models])
-            fields[f"opt.{name}"] = values[which]
-        motors = [np.array([getattr(m, x) for m in models])[which] for x in _MOTORS]
+
+        def of_each(name: str) -> Array:
+            return np.array([attrgetter(name)(x) for x in models.values()])[which]
+
+        fields = {name: of_each(name) for name in _FIELDS}
+        motors = [of_each(name) for name in _MOTORS]
         dead = np.array([x.drive["dead_band"] for x in every])
         states = np.array([x.state for x in every])
         state = tuple(np.split(states, [1, 1 + n, 1 + 2 * n], axis=1)[1:])

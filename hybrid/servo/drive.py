@@ -108,6 +108,10 @@ QUANTITIES = (
     DriveQuantity("sign", "", "sign", 1.0, least=-1.0, shared=True),
 )
 NAMES = tuple(x.name for x in QUANTITIES)
+LOGARITHMIC = np.array([[x.positive] for x in QUANTITIES])
+_LEAST = np.array([[x.least] for x in QUANTITIES])
+_SPREAD = np.array([[x.spread] for x in QUANTITIES])
+_PER_TORQUE = np.array([[x.per == "torque"] for x in QUANTITIES])
 PLAIN = ("stiffness", "damping", "coulomb", "armature", "offset", "delay")
 
 
@@ -153,25 +157,19 @@ class Drive:
     @property
     def spread(self) -> Array:
         """Prior standard deviations of the coordinates, shape (len(QUANTITIES), n)."""
-        ones = np.ones_like(self.stall)
-        return np.array(
-            [x.spread * (self.stall if x.per == "torque" else ones) for x in QUANTITIES]
-        )
+        return _SPREAD * np.where(_PER_TORQUE, self.stall, 1.0)
 
     @property
     def coordinates(self) -> Array:
         """Values to fit, logarithms of positive ones, shape (len(QUANTITIES), n)."""
-        rows = zip(QUANTITIES, self.values, strict=True)
-        return np.array([np.log(x) if each.positive else x for each, x in rows])
+        out = self.values.copy()
+        return np.asarray(np.log(out, out=out, where=LOGARITHMIC))
 
     def moved(self, coordinates: Array) -> Drive:
         """A copy with other coordinates."""
-        rows = zip(QUANTITIES, coordinates, strict=True)
-        values = [
-            np.maximum(np.exp(np.clip(x, -_FAR, _FAR)) if q.positive else x, q.least)
-            for q, x in rows
-        ]
-        return replace(self, values=np.array(values))
+        positive = np.exp(np.clip(coordinates, -_FAR, _FAR))
+        values = np.where(LOGARITHMIC, positive, coordinates)
+        return replace(self, values=np.maximum(values, _LEAST))
 
     @classmethod
     def declared(cls, robot: Robot) -> Drive:

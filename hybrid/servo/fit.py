@@ -21,7 +21,7 @@ from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
 from hybrid.servo.evidence import Explanation
 from hybrid.servo.model import heights
 from hybrid.servo.noise import resolution
-from hybrid.servo.problem import SHARED, Estimate, Problem
+from hybrid.servo.problem import SHARED, Problem
 from hybrid.servo.search import Search
 from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
@@ -79,7 +79,9 @@ def fit_servo(
     for at in struck:
         allowed[at] = False
     progress("servos: plain fit")
-    plain = _plain(problem, start, allowed)
+    x = np.where(allowed, start, prior.coordinates)
+    free = np.isin(NAMES, PLAIN)[:, None] & allowed
+    plain = problem.fitted(problem.at(x, free), None, _TURNS)
     parts = chosen(learn, _SECONDS + _WEIGHED, _EACH)
     rest = parts[len(problem.stretches) :]
     aside = problem.over(rest) if rest else None
@@ -126,13 +128,6 @@ def _result(
         scale=tuple(known),
         notes=(*notes, *_unsaid(robot, drives[1], after, less)),
     )
-
-
-def _plain(problem: Problem, start: Array, allowed: NDArray[np.bool_]) -> Estimate:
-    """Fit stiffness, damping, friction, rotor, offset and delay of every servo."""
-    x = np.where(allowed, start, problem.prior.coordinates)
-    free = np.isin(NAMES, PLAIN)[:, None] & allowed
-    return problem.fitted(problem.at(x, free), None, _TURNS)
 
 
 def _problem(

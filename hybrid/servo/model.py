@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,24 +29,19 @@ def file_step(robot: Robot) -> float:
     return float(robot.timestep) if np.isfinite(robot.timestep) else 0.002
 
 
-def servo_spec(
-    robot: Robot,
-    zero: Array | float = 0.0,
-    sign: Array | float = 1.0,
-    plays: Sequence[int] = (),
-) -> mujoco.MjSpec:
+def servo_spec(robot: Robot, drive: Drive) -> mujoco.MjSpec:
     """An arm with a DC motor behind a position controller at every joint.
 
-    ``zero``, [rad], and ``sign`` are those of a drive, shape (n,). Behind each of the
-    joints ``plays`` is another one, see :class:`hybrid.effects.backlash.Backlash`.
+    It has the zeros, signs and tilt of a drive. Behind a motor with play is another
+    joint, see :class:`hybrid.effects.backlash.Backlash`.
     """
     import mujoco
 
     spec = robot.mujoco_spec()
-    shifts, signs = np.broadcast_arrays(zero, sign, np.empty(robot.size))[:2]
-    for joint, shift, way in zip(robot.joints, shifts, signs, strict=True):
+    drive.tilt.edit_spec(spec, robot.joints)
+    for j, joint in enumerate(robot.joints):
         own = spec.joint(joint)
-        own.ref, own.axis = -float(shift), float(way) * np.array(own.axis)
+        own.ref, own.axis = -drive["zero"][j], drive["sign"][j] * np.array(own.axis)
         own.limited, own.range = True, np.array([-1.0, 1.0])
         # Placeholders: :func:`install` sets the values in the compiled model.
         _actuator(spec, joint).set_to_dcmotor(
@@ -58,7 +52,7 @@ def servo_spec(
             lugre=[1.0, 1.0, 1.0, 1.0, 1.0],
             ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_POS),
         )
-    for j in plays:
+    for j in np.flatnonzero(drive.plays).tolist():
         own = spec.joint(robot.joints[j])
         own.armature = max(own.armature, 1.0)
         Backlash((j,), {"half_width": 1.0}).edit_spec(spec, robot.joints)
@@ -197,19 +191,6 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
     stiffness = np.maximum(robot.stiffness, _SOFT) + drive["spring"]
     relaxed = drive["sign"] * robot.springref - drive["zero"]
     return stiffness, relaxed + drive["offset"] / stiffness
-
-
-def weight(model: Any, data: Any, own: NDArray[np.intp], q: Array, v: Array) -> Array:
-    """Gravity, centrifugal and Coriolis torque of a model, shape (n,), [N·m].
-
-    The data may be those of a model with the same joints, of which ``own`` are the
-    motors' (:func:`places`).
-    """
-    import mujoco
-
-    data.qpos[own], data.qvel[own] = q, v
-    mujoco.mj_forward(model, data)
-    return np.array(data.qfrc_bias[own])
 
 
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from hybrid.arrays import Array
 from hybrid.servo.drive import NAMES, QUANTITIES
 from hybrid.servo.evidence import COST, Curvature
-from hybrid.servo.problem import SHARED, Estimate, Problem
+from hybrid.servo.problem import SHARED, Estimate, Problem, one_by_one
 
+_ALONE = SHARED | np.array([x.alone for x in QUANTITIES])
 _LARGEST = 1.5  # largest extrapolation, in changes of a probe
 # Not linear, and without effect until it is reached: only the whole change makes sense.
 _WHOLE = ("sign", "ground", "lower", "upper")
@@ -48,13 +49,10 @@ def probed(
     """
     changes = []
     for name, usual in _usual_changes(problem, x, hint).items():
-        k = NAMES.index(name)
+        this = np.array(NAMES)[:, None] == name
         for change in usual:
-            row = np.where(open_[k] & np.isfinite(change), change, 0.0)
-            for own in np.diag(row) if SHARED[k] or QUANTITIES[k].alone else [row]:
-                if own.any():
-                    changes.append(np.zeros_like(x))
-                    changes[-1][k] = own
+            wanted = np.where(this & open_ & np.isfinite(change), change, 0.0)
+            changes += one_by_one(wanted, _ALONE)
     points = [problem.prior.moved(x + each).coordinates for each in changes]
     return changes, problem.errors(points)
 
@@ -122,12 +120,9 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
     command = np.concatenate([s.command for s in problem.stretches])
     out: dict[str, list[Array]] = {}
     for k, each in enumerate(QUANTITIES):
-        if each.positive:
-            out[each.name] = [0.5 * ones, -0.5 * ones, hint[k] - x[k]]
-        else:
-            out[each.name] = [spread[k], -spread[k], hint[k] - x[k]]
-        if each.least == 0.0:
-            out[each.name] = [spread[k], 0.25 * spread[k], hint[k] - x[k]]
+        size = 0.5 * ones if each.positive else spread[k]
+        other = 0.25 * size if each.least == 0.0 else -size
+        out[each.name] = [size, other, hint[k] - x[k]]
     # A limit has no effect until it is reached, so that several values are tried.
     out["stall"] = [-far * spread[NAMES.index("stall")] for far in (1.0, 2.0, 3.0)]
     out["pace"] = [share / fastest for share in (1.2, 2.0, 4.0)]

@@ -53,9 +53,8 @@ class Noise:
 
     def least(self, other: Noise) -> Noise:
         """The smaller noise of the two at each joint."""
-        better = other.weight > self.weight
-        weight = np.where(better, other.weight, self.weight)
-        return Noise(weight, np.where(better, other.far, self.far))
+        far = np.where(other.weight > self.weight, other.far, self.far)
+        return Noise(np.maximum(self.weight, other.weight), far)
 
     def reaching(self, usual: Array) -> Noise:
         """A copy that fully weighs errors of a usual size, shape (n,), [rad]."""

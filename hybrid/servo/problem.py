@@ -14,13 +14,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.servo.drive import QUANTITIES, Drive
+from hybrid.servo.drive import LOGARITHMIC, QUANTITIES, Drive
 from hybrid.servo.noise import Noise, inexactness, resolution, usual_error
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch
@@ -30,7 +29,6 @@ _DAMPINGS = (0.01, 1.0, 100.0)  # Levenberg–Marquardt
 _LARGEST = 1.0  # step of a logarithm; of other values in prior deviations
 _LEAST = 1e-4  # rad: resolution of an encoder without visible steps
 _KEPT = 64 * 2**20  # bytes of replays in the cache
-LOGARITHMIC = np.array([q.positive for q in QUANTITIES])[:, None]
 _PROBE = np.array([q.probe for q in QUANTITIES])[:, None]
 SHARED = np.array([q.shared for q in QUANTITIES])
 
@@ -81,11 +79,6 @@ class Problem:
         """A copy with other stretches."""
         return replace(self, stretches=stretches, _known={})
 
-    @property
-    def measured(self) -> Array:
-        """Positions of all stretches, shape (M, n), [rad]."""
-        return np.concatenate([x.q for x in self.stretches])
-
     @cached_property
     def _limits(self) -> tuple[Array, Array]:
         """Lower bound of the RMS error [rad], and error of the laws [rad²], (n,)."""
@@ -107,10 +100,11 @@ class Problem:
         drives = {x.tobytes(): self.prior.moved(x) for x in points}
         new = {key: x for key, x in drives.items() if key not in self._known}
         if new:
-            measured, known = self.measured, self._known
+            measured = np.concatenate([x.q for x in self.stretches])
             found = self.simulator.replay(self.stretches, list(new.values()))
             for key, q in zip(new, found, strict=True):
-                known[key] = np.nan_to_num(np.concatenate(q) - measured, nan=1e3)
+                errors = np.concatenate(q) - measured
+                self._known[key] = np.nan_to_num(errors, nan=1e3)
         out = [self._known[x.tobytes()] for x in points]
         while out and len(self._known) * out[0].nbytes > _KEPT:
             del self._known[next(iter(self._known))]
@@ -135,21 +129,15 @@ class Problem:
         With ``each`` one parameter changes at a time, and its effect on all joints
         counts.
         """
-        alone = found.free & (SHARED[:, None] | each)
-        kinds = np.flatnonzero((found.free & ~alone).any(axis=1)).tolist()
-        rows: list[Any] = [*kinds, *map(tuple, np.argwhere(alone).tolist())]
-        probe, moved, n = _PROBE * self.step, [], np.arange(self.prior.stall.size)
-        for row in rows:
-            y = found.x.copy()
-            y[row] += np.where(found.free[row], probe[row], 0.0)
-            moved.append(y)
+        alone = SHARED | each
+        probes = one_by_one(np.where(found.free, _PROBE * self.step, 0.0), alone)
+        moved = self.errors([found.x + x for x in probes])
         out = np.zeros((*found.free.shape, *found.errors.shape))
-        for row, after in zip(rows, self.errors(moved), strict=True):
-            slope = (after - found.errors) / probe[row]
-            if isinstance(row, tuple):
-                out[row] = slope
-            else:
-                out[row, n, :, n] = slope.T  # each joint its own
+        for probe, after in zip(probes, moved, strict=True):
+            change = after - found.errors
+            for k, j in np.argwhere(probe).tolist():
+                seen = slice(None) if alone[k] else j
+                out[k, j, :, seen] = change[:, seen] / probe[k, j]
         return np.asarray(out[found.free])
 
     def normal(
@@ -206,3 +194,17 @@ class Problem:
         """Posterior covariance of the free parameters, shape (P, P)."""
         matrix, _ = self.normal(found, self.slopes(found, each=True), noise)
         return np.asarray(np.linalg.inv(matrix))
+
+
+def one_by_one(changes: Array, alone: NDArray[np.bool_]) -> list[Array]:
+    """Split changes, (len(QUANTITIES), n), so that only one quantity changes in each.
+
+    It changes at all joints or, where it is ``alone``, (len(QUANTITIES),), at one.
+    """
+    parts = []
+    for k, row in enumerate(changes):
+        for own in np.diag(row) if alone[k] else [row]:
+            if own.any():
+                parts.append(np.zeros_like(changes))
+                parts[-1][k] = own
+    return parts

@@ -21,7 +21,6 @@ from hybrid.servo.model import (
     lay_ground,
     places,
     servo_spec,
-    weight,
 )
 from hybrid.servo.noise import INEXACT
 from hybrid.servo.stretch import Stretch
@@ -103,23 +102,16 @@ class ServoSimulator:
         """Prepare the replays of every stretch with each of some servos."""
         runs = []
         for drive in drives:
-            models: dict[float, tuple[Any, Any]] = {}  # by step
-            runs += [self._run(drive, stretch, models) for stretch in stretches]
+            models, own = dict[float, tuple[Any, Any]](), drive or self._declared
+            for stretch in stretches:
+                parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
+                step = round(stretch.step / parts, 9)
+                if step not in models:
+                    models[step] = self._model(drive, step)
+                control = stretch.goals(own["delay"], own["pace"], parts)
+                state = self._state(*models[step], drive, stretch, control[0])
+                runs.append(Run(stretch, parts, models[step][0], state, control, own))
         return runs
-
-    def _run(
-        self,
-        drive: Drive | None,
-        stretch: Stretch,
-        models: dict[float, tuple[Any, Any]],
-    ) -> Run:
-        parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
-        step, own = round(stretch.step / parts, 9), drive or self._declared
-        if step not in models:
-            models[step] = self._model(drive, step)
-        control = stretch.goals(own["delay"], own["pace"], parts)
-        state = self._state(*models[step], drive, stretch, control[0])
-        return Run(stretch, parts, models[step][0], state, control, own)
 
     def _model(self, drive: Drive | None, step: float) -> tuple[Any, Any]:
         """A model of the servo, and data that models with its joints share."""
@@ -140,9 +132,7 @@ class ServoSimulator:
         if drive is None:
             spec = declared_spec(self.robot)
         else:
-            plays = np.flatnonzero(drive["play"]).tolist()
-            spec = servo_spec(self.robot, drive["zero"], drive["sign"], plays)
-            drive.tilt.edit_spec(spec, self.robot.joints)
+            spec = servo_spec(self.robot, drive)
             lay_ground(spec, self.robot)
         model = spec.compile()
         model.opt.timestep = step
@@ -157,11 +147,15 @@ class ServoSimulator:
         first: Array,
     ) -> Array:
         """Time, positions, speeds, and bends of the bristles if there are any."""
+        import mujoco
+
         own, behind = places(plays := (drive or self._declared).plays)
         q, v, bent = np.zeros(model.nq), np.zeros(model.nv), np.zeros(0)
         q[own], v[own] = stretch.q[0], stretch.v
         if drive is not None:
-            down = weight(model, data, own, stretch.q[0], stretch.v)
+            data.qpos[own], data.qvel[own] = stretch.q[0], stretch.v
+            mujoco.mj_forward(model, data)
+            down = data.qfrc_bias[own].copy()  # by gravity and speed
             bent = bristles(drive, stretch, first, down)
             # The weight of the link presses it against one side of the gap.
             q[behind] = -np.sign(down[plays]) * drive["play"][plays]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,27 +21,24 @@ class Stretch:
 
     Attributes:
         step: Time between samples, [s].
-        command: Commanded position, shape (N, n), [rad].
+        sent: Commanded position at B samples before the first and at all samples, shape
+            (B + N, n), [rad]. A delay or a limited goal speed makes the first samples
+            depend on earlier commands.
         q: Measured position, shape (N, n), [rad].
         v: Speed at the first sample, shape (n,), [rad/s].
         source: The log.
-        before: Commands of the log before the first sample, shape (B, n), [rad]. A
-            delay or a limited goal speed makes the first samples depend on them.
     """
 
     step: float
-    command: Array
+    sent: Array
     q: Array
     v: Array
     source: str = ""
-    before: Array | None = None
 
     @property
-    def sent(self) -> Array:
-        """All commands, those before the first sample too, shape (B + N, n), [rad]."""
-        if self.before is None:
-            return self.command
-        return np.concatenate([self.before, self.command])
+    def command(self) -> Array:
+        """Commanded position at the samples, shape (N, n), [rad]."""
+        return self.sent[-len(self.q) :]
 
     @property
     def duration(self) -> float:
@@ -54,11 +51,11 @@ class Stretch:
         if first:
             near = slice(max(first - 2, 0), first + 3)
             v = np.gradient(self.q[near], self.step, axis=0).mean(axis=0)
-        part = slice(first, first + samples)
-        sent, earlier = self.sent, len(self.sent) - len(self.q) + first
-        before = sent[max(earlier - round(_CAUGHT_UP / self.step), 0) : earlier]
-        command, q = self.command[part], self.q[part]
-        return Stretch(self.step, command, q, v, self.source, before)
+        q = self.q[first : first + samples]
+        start = len(self.sent) - len(self.q) + first
+        earliest = max(start - round(_CAUGHT_UP / self.step), 0)
+        sent = self.sent[earliest : start + len(q)]
+        return replace(self, sent=sent, q=q, v=v)
 
     def goals(self, delay: Array, pace: Array, parts: int) -> Array:
         """Goals of the servos at every physics step, shape (parts·(N − 1), n), [rad].
@@ -67,7 +64,7 @@ class Stretch:
         takes at least its pace, shape (n,), [s/rad]. Two samples are so many parts
         apart.
         """
-        sent, samples, step = self.sent, len(self.command), self.step / parts
+        sent, samples, step = self.sent, len(self.q), self.step / parts
         logged = np.arange(samples - len(sent), samples) * self.step
         steps, earlier = (samples - 1) * parts, (len(sent) - samples) * parts
         out = np.empty((steps, sent.shape[1]))

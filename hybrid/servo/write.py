@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,14 +16,7 @@ from hybrid.robot.edit.drives import actuator_tags
 from hybrid.robot.edit.extra_friction import remove_passive_motors
 from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
 from hybrid.servo.drive import Drive
-from hybrid.servo.model import (
-    dampings,
-    file_step,
-    motors,
-    servo_spec,
-    springs,
-    stops,
-)
+from hybrid.servo.model import dampings, file_step, motors, servo_spec, springs, stops
 
 _MOTOR = {
     "gear": 1.0,
@@ -61,8 +53,9 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
 
 def _skeleton(robot: Robot) -> Document:
     """Links, joints and servos of an arm as MJCF, without shapes."""
-    spec = servo_spec(robot)
-    for name, ends in zip(robot.joints, stops(Drive.declared(robot)), strict=True):
+    declared = Drive.declared(robot)
+    spec = servo_spec(robot, declared)
+    for name, ends in zip(robot.joints, stops(declared), strict=True):
         spec.joint(name).range = ends
     spec.option.timestep = file_step(robot)
     spec.compile()
@@ -97,7 +90,9 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             given |= {"range": limits[j] * turn, "limited": "true"}
         document.set(joint, given)
         motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
-        motor |= _delay(float(drive["delay"][j]), step)
+        if (delay := float(drive["delay"][j])) > 0:
+            samples = math.ceil(delay / step) + 1
+            motor |= {"delay": delay, "nsample": samples, "interp": "linear"}
         # The motor of the servo has all friction of the joint.
         remove_passive_motors(document, name)
         own = actuator_tags(document, name)
@@ -110,10 +105,3 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             document.insert_child(sections[0], text)
         else:
             raise RobotError(f"{robot.path}: no <actuator> section to put a servo into")
-
-
-def _delay(delay: float, step: float) -> dict[str, Any]:
-    """Attributes of a delay, [s], with a buffer of steps of the simulation, [s]."""
-    if delay <= 0:
-        return {}
-    return {"delay": delay, "nsample": math.ceil(delay / step) + 1, "interp": "linear"}
