@@ -1,18 +1,12 @@
 """Tilt of the base against gravity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity, Spec
 from hybrid.signals import Motion
-
-if TYPE_CHECKING:
-    import mujoco
 
 
 class GravityTilt(Effect):
@@ -44,7 +38,7 @@ class GravityTilt(Effect):
         turned = np.cross(gravity, level_axes(gravity))
         return np.zeros((size, 10)), self.gain_values @ turned
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Rotate the spec's gravity by the angle, exactly."""
         spec.option.gravity = self.turned(np.array(spec.option.gravity))
 

@@ -1,9 +1,7 @@
 """Hooks with which a plant simulates an effect, from command to sensor."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -13,6 +11,10 @@ from hybrid.errors import EffectError
 
 if TYPE_CHECKING:
     import mujoco
+
+    Spec: TypeAlias = mujoco.MjSpec
+else:
+    Spec = Any  # MuJoCo is slow to load
 
 
 class InPlant:
@@ -26,7 +28,7 @@ class InPlant:
     # Name of the joint that it adds between motor and link, if it does.
     behind: ClassVar[str] = ""
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Add to a MuJoCo spec what MuJoCo itself can simulate.
 
         Args:
@@ -35,7 +37,7 @@ class InPlant:
         """
         return  # by default nothing
 
-    def added_joint(self, spec: mujoco.MjSpec, name: str) -> mujoco.MjsJoint:
+    def added_joint(self, spec: Spec, name: str) -> Any:
         """A new joint after a motor joint, on the same axis, called ``behind``.
 
         Raises:

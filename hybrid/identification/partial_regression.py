@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.identification.solution import Solution
 from hybrid.regression.least_squares import pseudo_solve
 
@@ -35,7 +34,7 @@ class PartialRegression:
     """
 
     others: tuple[Array, Array]
-    support: NDArray[np.intp]
+    support: Index
     columns: Array
     residual: Array
 
@@ -72,7 +71,7 @@ class PartialRegression:
         )
 
     def cross_validated(
-        self, waves: Sequence[Array], fold: NDArray[np.intp]
+        self, waves: Sequence[Array], fold: Index
     ) -> tuple[Array, Array]:
         """Squared residuals on each fold by a fit on the other folds.
 
@@ -100,9 +99,7 @@ class PartialRegression:
                 squares[i, k] = c @ own[rows] @ c
         return squares[0], squares[1:]
 
-    def is_significant(
-        self, wave: Array, block: NDArray[np.intp], chance: float
-    ) -> bool:
+    def is_significant(self, wave: Array, block: Index, chance: float) -> bool:
         """F-test: whether the gains of a pair of columns differ from zero.
 
         Args:
@@ -137,9 +134,7 @@ class PartialRegression:
         residual = rows[-1] - theta @ rows[:-1]
         return theta[-2:], np.array(inverse)[:, -2:], slopes, residual
 
-    def _normal(
-        self, sums: Array, A: Array, b: Array
-    ) -> tuple[Array, Array, NDArray[np.intp]]:
+    def _normal(self, sums: Array, A: Array, b: Array) -> tuple[Array, Array, Index]:
         """Normal matrix and right side of all joints, and where this joint is in them.
 
         The sums are those of its columns, a new pair or none, and its residual; A and b

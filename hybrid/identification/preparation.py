@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arguments import typed
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
@@ -144,7 +143,7 @@ def prepare(
     return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
 
 
-def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]:
+def _folds(motions: Sequence[Motion], standing: Array) -> list[Index]:
     found = []
     for r, motion in enumerate(motions):
         if len(motions) >= _FOLDS:

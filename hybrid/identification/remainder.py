@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.identification.gate import lowers
@@ -107,7 +107,7 @@ def _inputs(q: Array, v: Array, inputs: Inputs) -> Array:
     return np.concatenate([q[:, positions], v[:, speeds]], axis=1)
 
 
-def _ridge_error(x: Array, y: Array, fold: NDArray[np.intp]) -> float:
+def _ridge_error(x: Array, y: Array, fold: Index) -> float:
     """Held-out squares of ridge regression on random Fourier features.
 
     Source: Rahimi and Recht 2007, "Random features for large-scale kernel machines".

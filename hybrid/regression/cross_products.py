@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.errors import IdentificationError
 from hybrid.regression.data import Data
 from hybrid.regression.problem import Problem
@@ -41,8 +41,8 @@ class CrossProducts:
     data: Data
     blocks: Array
     counts: Array
-    recording: NDArray[np.intp]
-    fold: NDArray[np.intp]
+    recording: Index
+    fold: Index
     unfiltered: tuple[Array, ...]
 
     @cached_property
@@ -167,7 +167,7 @@ def accumulate(problem: Problem, data: Data) -> CrossProducts:
 
 def _add_by_block(
     sums: tuple[Array, ...],
-    block: NDArray[np.intp],
+    block: Index,
     D: Array,
     moving: NDArray[np.bool_],
 ) -> None:
@@ -180,7 +180,7 @@ def _add_by_block(
                 own[block[start]] += part @ part.T
 
 
-def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:
+def runs_of(*labels: Index) -> list[tuple[int, int]]:
     """Start and end (exclusive) of each run of equal labels."""
     steps = np.sum([np.abs(np.diff(x, prepend=-1)) for x in labels], axis=0)
     return list(pairwise([*np.flatnonzero(steps), len(labels[0])]))

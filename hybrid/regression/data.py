@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects import Scale
 from hybrid.errors import RecordingError
 from hybrid.regression.chunk import Chunk, chunks_along
@@ -35,7 +35,7 @@ class Data:
     """
 
     motions: tuple[Motion, ...]
-    folds: tuple[NDArray[np.intp], ...]
+    folds: tuple[Index, ...]
     cutoff: float
     standing: Array
 
@@ -86,7 +86,7 @@ class Data:
         return np.stack([np.bincount(label, x) for x in squares.T], axis=1)
 
     @cached_property
-    def blocks(self) -> list[NDArray[np.intp]]:
+    def blocks(self) -> list[Index]:
         """Block of each sample, shape (N,) for each motion; each lies in one fold."""
         each = max(1, -(-_FEWEST_BLOCKS // len(self.motions)))
         found, last = [], 0
@@ -98,7 +98,7 @@ class Data:
         return found
 
     @cached_property
-    def block_folds(self) -> NDArray[np.intp]:
+    def block_folds(self) -> Index:
         """Fold of each block, shape (B,)."""
         _, first = np.unique(np.concatenate(self.blocks), return_index=True)
         return np.concatenate(self.folds)[first]
@@ -178,7 +178,7 @@ class Residual:
     v: Array
     tau: Array
     moving: NDArray[np.bool_]
-    fold: NDArray[np.intp]
+    fold: Index
 
 
 def check_torque(motions: Sequence[Motion]) -> None:

@@ -6,11 +6,10 @@ Source: Cameron and Miller 2015, doi 10.3368/jhr.50.2.317 (cluster-robust infere
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.special import stdtrit
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     RANK,
@@ -174,7 +173,7 @@ def _covariance(products: CrossProducts, found: WeightedSolution) -> tuple[Array
     return covariance[:size, :size], count - 1
 
 
-def _variance_inflation(series: Array, recording: NDArray[np.intp]) -> Array:
+def _variance_inflation(series: Array, recording: Index) -> Array:
     """Variance of the sum of a series over that of independent terms, shape (p,).
 
     Source: a first-order autoregression, Andrews and Monahan 1992, doi 10.2307/2951574;
