@@ -310,12 +310,12 @@ def test_friction_that_the_user_gave_is_replaced_at_no_joint_of_its_own():
 
 def test_friction_is_fitted_again_until_a_round_gains_nothing():
     costs = iter([8.0, 5.0, 5.0, 4.0, 3.0])
-    start = SimpleNamespace(squares=9.0)
-    stage = SimpleNamespace(best=start, solver=SimpleNamespace(cost=float))
-    stage._friction_candidates = lambda _: {}
-    stage._accepted = lambda *_: SimpleNamespace(squares=next(costs))
-    stage._adopt = lambda found: setattr(stage, "best", found)
-    Identification.friction_stage(stage)
+    stage = Identification.__new__(Identification)
+    stage.best = SimpleNamespace(squares=np.array([[9.0]]))
+    stage.solver = SimpleNamespace(cost=np.sum)
+    stage._friction_candidates = lambda _: [{0: []}]
+    stage._fitted = lambda *_: SimpleNamespace(squares=np.array([[next(costs)]]))
+    stage.friction_stage()
     assert stage.best.squares == 5.0 and next(costs) == 4.0
 
 

@@ -1,7 +1,6 @@
 """Learn the remainder of each joint's torque, where that lowers the held-out error."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -23,22 +22,6 @@ _MOST_SAMPLES = 3000  # of a fit that is only used for a score
 Inputs = tuple[tuple[int, ...], tuple[int, ...]]  # joints of the positions, the speeds
 
 
-@dataclass(frozen=True)
-class Learned:
-    """A learned remainder and its predictions on held-out folds.
-
-    Attributes:
-        remainder: Fitted on all samples.
-        cross: Cross-validated torque: that of the regression without the fold of each
-            sample, shape (N, n) for each motion, [N·m].
-        squares: Held-out squares with the remainder, shape (B, n), [N²·m²].
-    """
-
-    remainder: ArmRemainder
-    cross: list[Array]
-    squares: Array
-
-
 def fit_remainder(
     data: Data,
     held_out: Sequence[Array],
@@ -46,7 +29,7 @@ def fit_remainder(
     among: ArmRemainder | None = None,
     bound: Array | float = np.inf,
     seed: int = 0,
-) -> Learned:
+) -> tuple[ArmRemainder, list[Array]]:
     """Fit a Gaussian-mixture regression at each joint whose held-out error it lowers.
 
     The candidate inputs are the joint's own position and speed, then also those of its
@@ -61,6 +44,11 @@ def fit_remainder(
         bound: Largest learned torque, shape (n,), [N·m]. It is never larger than the
             largest residual.
         seed: Seed of the mixtures' initial values.
+
+    Returns:
+        The remainder, fitted on all samples, and its cross-validated torque: that of
+        the regression without the fold of each sample, shape (N, n) for each motion,
+        [N·m].
     """
     n = held_out[0].shape[1]
     residual, parts = data.decimated(held_out), []
@@ -84,8 +72,7 @@ def fit_remainder(
             parts.append(JointRemainder(joint, *inputs, fit()))
             for x, known in zip(cross, predicted, strict=True):
                 x[:, joint] = known
-    after = data.squares([x - y for x, y in zip(held_out, cross, strict=True)])
-    return Learned(ArmRemainder(n, tuple(parts)), cross, after)
+    return ArmRemainder(n, tuple(parts)), cross
 
 
 def _best_inputs(
