@@ -11,8 +11,8 @@ from time import process_time
 
 import numpy as np
 
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
@@ -88,7 +88,7 @@ def full_model(robot: Robot, motion: Motion) -> DynamicModel:
     parts = []
     for j in joints:
         x = np.column_stack([motion.q[few, j], motion.v[few, j]])
-        regression = GaussianMixtureRegression.fit(
+        regression = fit_gmr(
             x, rng.standard_normal((len(few), 1)), components=8, seed=0
         )
         parts.append(JointRemainder(j, (j,), (j,), regression))

@@ -28,8 +28,8 @@ from scipy.optimize import nnls
 
 from hybrid import Motion, Recording, Robot
 from hybrid.arrays import Array
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.effects import Effect, JointEffect, JointState, Port, Quantity
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
@@ -304,11 +304,10 @@ def mixtures(rest: Rest, counts: Sequence[int | None], seed: int) -> ArmRemainde
     apart = max(1, round(_APART * rest.rate))
     for joint, count in enumerate(counts):
         moving = np.flatnonzero(rest.moving[:, joint])[::apart]
-        regression = GaussianMixtureRegression.fit(
+        regression = fit_gmr(
             np.stack([rest.q[moving, joint], rest.v[moving, joint]], axis=1),
             rest.tau[moving, joint, None],
-            components=count,
-            candidates=COMPONENTS,
+            components=COMPONENTS if count is None else count,
             seed=seed,
         )
         parts.append(JointRemainder(joint, (joint,), (joint,), regression))

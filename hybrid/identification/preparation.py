@@ -139,8 +139,13 @@ def prepare(
     motions = [decimated_motion(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
-    standing = np.maximum(STANDING * fastest(motions), SLOWEST)
+    standing = standing_speed(motions)
     return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
+
+
+def standing_speed(motions: Sequence[Motion]) -> Array:
+    """Speed of each joint below which it stands, shape (n,), [rad/s]."""
+    return np.maximum(STANDING * fastest(motions), SLOWEST)
 
 
 def _folds(motions: Sequence[Motion], standing: Array) -> list[Index]:

@@ -131,17 +131,18 @@ def _learned(
     The first fold selects the number of components. It is None if there are too few
     samples.
     """
+    from hybrid.compensator.gmr_fit import fit_gmr  # scikit-learn is slow to load
+
     moving, components = residual.moving[:, joint], None
     x = _inputs(residual.q, residual.v, inputs)[moving]
     y, fold = residual.tau[moving, joint, None], residual.fold[moving]
 
     def fit(held: NDArray[np.bool_]) -> GaussianMixtureRegression:
-        return GaussianMixtureRegression.fit(
+        return fit_gmr(
             x[~held],
             y[~held],
-            components=components,
-            candidates=_COMPONENTS,
-            validation=(x[held], y[held]) if components is None else None,
+            components=components or _COMPONENTS,
+            validation=None if components else (x[held], y[held]),
             bound=min(bound, float(np.abs(y[~held]).max())),
             max_samples=_MOST_SAMPLES if held.any() else 20_000,
             seed=seed,

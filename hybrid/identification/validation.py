@@ -10,16 +10,16 @@ from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError, warn
 from hybrid.identification.preparation import (
-    SLOWEST,
-    STANDING,
     checked_logs,
     log_hash,
     motions_from_logs,
+    standing_speed,
 )
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
-from hybrid.regression.data import check_torque, fastest
+from hybrid.regression.data import check_torque
 from hybrid.robot import Robot
+from hybrid.shown import plain
 from hybrid.signals import Motion, Sampler
 
 _LINEAR = ("LS", "WLS", "IRLS", "rigid")
@@ -96,24 +96,9 @@ class Validation:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
-        floor = self.noise_floor
-        rows = [
-            {
-                "name": row.name,
-                "rms": row.rms.tolist(),
-                "relative": row.relative.tolist(),
-                "mean": row.mean,
-            }
-            for row in self.rows
-        ]
-        return vars(self) | {
-            "joints": list(self.joints),
-            "units": list(self.units),
-            "rows": rows,
-            "reduction": self.reduction,
-            "noise_floor": None if floor is None else floor.tolist(),
-            "sources": list(self.sources),
-        }
+        rows = [vars(row) | {"mean": row.mean} for row in self.rows]
+        own = vars(self) | {"rows": rows, "reduction": self.reduction}
+        return dict(plain(own))
 
 
 @typed
@@ -155,7 +140,7 @@ def validate(
         )
     slowest = model.standing if standing is None else standing
     if not np.size(slowest):  # a model that was not identified
-        slowest = np.maximum(STANDING * fastest(motions), SLOWEST)
+        slowest = standing_speed(motions)
     each = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
     moving = np.concatenate(each)
     count = moving.sum(axis=0)
