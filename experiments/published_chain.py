@@ -39,8 +39,7 @@ from hybrid.identification import DynamicModel
 from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.data import Data
-from hybrid.regression.intervals import solve
-from hybrid.regression.least_squares import ESTIMATORS, Estimator
+from hybrid.regression.least_squares import ESTIMATORS, Estimator, solve_weighted
 from hybrid.regression.problem import build_problem
 from hybrid.signals import Sampler
 
@@ -195,7 +194,7 @@ def rigid(
     """
     problem = build_problem(robot.chain, effects)
     products = accumulate(problem, data.minus(explained or None))
-    base, found = problem.fitted(solve(products, estimator).theta)
+    base, found = problem.fitted(solve_weighted(products, estimator).theta)
     return DynamicModel(robot, base, found, None, data.cutoff, data.standing)
 
 

@@ -13,12 +13,10 @@ from hybrid.arrays import Array, Index
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     RANK,
-    Estimator,
     WeightedSolution,
     pseudo_inverse,
     pseudo_solve,
     residual_covariance,
-    solve_weighted,
     unit_columns,
 )
 from hybrid.regression.prior import Prior
@@ -34,7 +32,6 @@ class Estimate(WeightedSolution):
         covariance: Covariance of the unknowns, valid under autocorrelated residuals,
             shape (p, p).
         sigma: Residual covariance across joints, shape (n, n), [N²·m²].
-        condition: Condition number of the whitened, column-scaled columns.
         degrees: Degrees of freedom of the covariance: number of blocks less one.
         undetermined: Indices of unknowns that these data do not determine.
         held: Indices of unknowns that the prior determines more than these data.
@@ -42,7 +39,6 @@ class Estimate(WeightedSolution):
 
     covariance: Array
     sigma: Array
-    condition: float
     degrees: int
     undetermined: tuple[int, ...]
     held: tuple[int, ...] = ()
@@ -58,27 +54,12 @@ class Estimate(WeightedSolution):
         return self.theta - half, self.theta + half
 
 
-def solve(
-    products: CrossProducts,
-    estimator: Estimator = "irls",
-    *,
-    bounded: bool = False,
-    robust: bool = False,
-    prior: Prior | None = None,
-) -> Estimate:
-    """Solve as :func:`solve_weighted` does, which see, and add the uncertainty."""
-    found = solve_weighted(
-        products, estimator, bounded=bounded, robust=robust, prior=prior
-    )
-    return with_uncertainty(products, found)
-
-
 def with_uncertainty(
     products: CrossProducts,
     found: WeightedSolution,
     complete: CrossProducts | None = None,
 ) -> Estimate:
-    """Add covariance and condition to a solution.
+    """Add the uncertainty to a solution.
 
     Args:
         products: Cross-products of the data.
@@ -92,7 +73,6 @@ def with_uncertainty(
         **vars(found),
         covariance=covariance,
         sigma=residual_covariance(products, found.theta),
-        condition=condition_number(A),
         degrees=degrees,
         undetermined=_undetermined(A),
         held=_held(A, found.prior),
