@@ -70,9 +70,8 @@ class Backlash(Effect):
         acceleration = body.load[:, j] / np.maximum(inertia, 1e-9)
         from scipy.ndimage import gaussian_filter1d
 
-        where = _link_position(
-            gaussian_filter1d(acceleration, _IMPACT_WIDTH / step), half, step
-        )
+        smooth = gaussian_filter1d(acceleration, _IMPACT_WIDTH / step)
+        where = _link_position(smooth, half, step)
         wide = np.pad(where, 1, mode="edge")
         out = np.zeros((3, *motion.q.shape))
         out[0, :, j] = where

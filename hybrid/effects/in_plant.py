@@ -29,11 +29,9 @@ class InPlant:
     behind: ClassVar[str] = ""
 
     def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
-        """Add to a MuJoCo spec what MuJoCo itself can simulate.
+        """Add to a MuJoCo spec of the arm what MuJoCo itself can simulate.
 
-        Args:
-            spec: Spec of the arm; joint and body of link k share the name ``names[k]``.
-            names: Joint names of the arm, base to tip.
+        Joint and body of link k, base to tip, share the name ``names[k]``.
         """
         return  # by default nothing
 
@@ -57,12 +55,9 @@ class InPlant:
         return torque
 
     def resist(self, state: JointState, before: Array, step: float) -> Array:
-        """Resisting torque with memory, shape (B, k), [N·m].
+        """Resisting torque with memory at a state of the motors, shape (B, k), [N·m].
 
-        Args:
-            state: State of the motors, arrays of shape (B, k).
-            before: This torque one step ago, 0 at the start, shape (B, k), [N·m].
-            step: Length of the step, [s].
+        It was ``before`` one step ago, [s], and is 0 at the start.
         """
         return np.zeros_like(before)
 

@@ -47,7 +47,7 @@ def with_accepted(
 
     Args:
         start: The solution without new terms.
-        options: New terms of each joint, those to try first in front.
+        options: New terms, those to try first in front.
         fitted: Function from new terms to the solution with them.
         tried: Number of terms of which each is the best.
     """

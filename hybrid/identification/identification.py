@@ -64,8 +64,7 @@ class Identification:
         self.robot, self.data, self.estimator = robot, data, estimator
         self.extra, self.seed = extra, seed
         self.solver = Solver(robot, data, estimator, robust)
-        self.simpler: dict[Estimator, Solution] = {}
-        self.stages: dict[str, DynamicModel] = {}
+        self.simpler: dict[str, DynamicModel] = {}
         self.left_out: list[str] = []
         self.warnings: list[str] = []
         self.rounds, self.settled = 1, True
@@ -82,18 +81,17 @@ class Identification:
         """
         if any(e.changes_signals for e in self.extra):
             products, self.settled = self.solver.linearised(products)
-        self.simpler = self.solver.plain(products)
-        self.best = self.solver.best(products)
-        self._record_stage(self.best)
-        last = self.simpler[self.estimator]
-        A, _ = products.normal(last.weighted.weight)
+        plain = self.solver.plain(products)
+        A, _ = products.normal(plain[self.estimator].weighted.weight)
         self.condition = condition_number(A)
         poor = poor_excitation(products.problem, A)
         if poor:
             self.warnings.append(poor)
-        found = {x.upper(): s.squares for x, s in self.simpler.items()}
-        found["rigid"] = self.best.squares
-        return {name: self.solver.rms(squares) for name, squares in found.items()}
+        found = {name.upper(): solution for name, solution in plain.items()}
+        self.simpler = {name: self._model(x) for name, x in found.items()}
+        self.best = found["rigid"] = self.solver.best(products)
+        self._record_stage(self.best)
+        return {name: self.solver.rms(x.squares) for name, x in found.items()}
 
     @property
     def error(self) -> Array:
@@ -179,10 +177,7 @@ class Identification:
             )
 
     def fit(self, held_out: dict[str, Array]) -> Fit:
-        """The accepted terms with their uncertainty.
-
-        Args:
-            held_out: RMS of each joint by stage, shape (n,) each, [N·m].
+        """The accepted terms with their uncertainty, and the RMS by stage.
 
         Raises:
             IdentificationError: The robot file predicts the torque better.
@@ -190,14 +185,11 @@ class Identification:
         self._check_against_file()
         problem, estimate = self.best.problem, self.best.estimate
         model = self.best.model(self.robot)
-        simpler = {name.upper(): self._model(s) for name, s in self.simpler.items()}
         converged = estimate.converged and self.settled
         if not converged:
             self.warnings.append("the iteration did not settle; see Fit.converged")
         return Fit(
-            model=replace(
-                model, simpler=simpler | self.stages, covariance=estimate.covariance
-            ),
+            model=replace(model, simpler=self.simpler, covariance=estimate.covariance),
             names=problem.base.names,
             labels=problem.base.kept_labels,
             units=tuple(problem.base.units[k] for k in problem.base.kept),
@@ -319,7 +311,7 @@ class Identification:
     def _record_stage(self, solution: Solution) -> None:
         """Keep the model of a finished stage for comparison."""
         model = self._model(solution)
-        self.stages[model.stage] = model
+        self.simpler[model.stage] = model
 
     def _leave_out(self, text: str) -> None:
         self.left_out.append(text)

@@ -81,12 +81,9 @@ def motions_from_logs(
 ) -> tuple[list[Motion], float]:
     """Filter and differentiate checked logs; motions made from logs are not changed.
 
-    Args:
-        logs: Checked logs, see :func:`checked_logs`, or motions.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
-
     Returns:
-        Motions at full rate, and the cut-off.
+        Motions at full rate, and the cut-off of columns and torque, [Hz], which is that
+        of the spectrum by default.
 
     Raises:
         IdentificationError: The cut-off is too low for the shortest log.
