@@ -143,14 +143,10 @@ class GaussianMixtureRegression:
         return self.predict_distribution(x)[0]
 
     def predict_distribution(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Expected remaining torque and its variance.
+        """Expected remaining torque and its variance at inputs, shape (N, d).
 
-        Args:
-            x: Inputs, shape (N, d), [unit of the training inputs].
-
-        Returns:
-            Mean, within ±``bound``, zero far from the data, shape (N, m), [N·m], and
-            variance, shape (N, m), [(N·m)²].
+        The mean is within ±``bound``, and zero far from the data, shape (N, m), [N·m];
+        the variance has the shape (N, m), [(N·m)²].
 
         Raises:
             HybridError: ``x`` has the wrong shape or holds NaN or infinity.
@@ -163,16 +159,10 @@ class GaussianMixtureRegression:
         return found[0].T, found[1].T
 
     def distance(self, x: ArrayLike) -> Array:
-        """Soft minimum of the squared Mahalanobis distances to the components.
+        """Soft minimum of the squared Mahalanobis distances to the components, (N,).
 
         It is ``−2 log Σ_k exp(−d_k²/2)``, which is smooth where another component
-        becomes the nearest one.
-
-        Args:
-            x: Inputs, shape (N, d), [unit of the training inputs].
-
-        Returns:
-            Squared distance, which may be negative in overlaps, shape (N,).
+        becomes the nearest one, and may be negative where components overlap.
         """
         x = check_matrix("x", x, self.inputs)
         return np.asarray(_soft_minimum(self._parts(list(x.T))[0])[0])
@@ -201,8 +191,7 @@ class GaussianMixtureRegression:
     def at_instant(self, x: Sequence[Any]) -> tuple[list[Any], list[Any]]:
         """Mean [N·m] and variance [(N·m)²] of each output, by arithmetic on scalars.
 
-        Args:
-            x: The inputs: numbers, arrays, or symbols of a tape.
+        The inputs are numbers, arrays, or symbols of a tape.
         """
         c, found = self.conditional, []
         distance, outputs = self._parts(x)

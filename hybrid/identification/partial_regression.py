@@ -40,12 +40,9 @@ class PartialRegression:
 
     @classmethod
     def of(cls, solution: Solution, joint: int, rows: Array) -> PartialRegression:
-        """The regression about the values of a solution.
+        """The regression of a joint about the values of a solution.
 
-        Args:
-            solution: The present terms of all joints.
-            joint: The joint that a new column acts on.
-            rows: Its columns, then the residual of the solution, shape (d + 1, M).
+        Rows are its columns, then the residual of the solution, shape (d + 1, M).
         """
         products, theta = solution.products, solution.weighted.theta
         variance = np.diag(solution.sigma)
@@ -61,10 +58,7 @@ class PartialRegression:
         size = A.shape[1]
         return replace(
             self,
-            others=(
-                np.pad(A, ((0, 0), (0, 2), (0, 2))),
-                np.pad(b, ((0, 0), (0, 2))),
-            ),
+            others=(np.pad(A, ((0, 0), (0, 2), (0, 2))), np.pad(b, ((0, 0), (0, 2)))),
             support=np.append(self.support, [size, size + 1]),
             columns=np.concatenate([self.columns, wave]),
             residual=self.residual - self._fitted(wave)[0] @ wave,

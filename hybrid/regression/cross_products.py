@@ -69,20 +69,16 @@ class CrossProducts:
         return int(np.diag(self.counts.sum(axis=0)).max())
 
     def normal(self, weight: Array, sums: Array | None = None) -> tuple[Array, Array]:
-        """Normal equations A·theta = b for a weight matrix across joints.
+        """Normal equations A·theta = b for an inverse noise covariance, shape (n, n).
 
-        Args:
-            weight: Inverse noise covariance, shape (n, n).
-            sums: Cross-products to use, shape (..., P, P); all blocks by default.
-
-        Returns:
-            A, shape (..., p, p), and b, shape (..., p).
+        They are those of all blocks, or of other sums, shape (..., P, P). A has the
+        shape (..., p, p), and b (..., p).
         """
         sums = self.total if sums is None else sums
         problem, many = self.problem, sums.shape[:-2]
         A = np.zeros((*many, problem.size, problem.size))
         b = np.zeros((*many, problem.size))
-        parts = [slice(x, y) for x, y in pairwise(self.problem.offsets)]
+        parts = [slice(x, y) for x, y in pairwise(problem.offsets)]
         for i, k in zip(*np.nonzero(weight), strict=True):
             left, right = problem.support[i], problem.support[k]
             own = weight[i, k] * sums[..., parts[i], parts[k]]

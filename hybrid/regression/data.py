@@ -50,14 +50,9 @@ class Data:
         return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
-        """Residual of each sample by the solution without its fold.
+        """Unfiltered residual of each sample by the solution without its fold.
 
-        Args:
-            problem: The linear problem.
-            theta: Solutions without each fold, shape (F, p).
-
-        Returns:
-            Unfiltered torque, shape (N, n) for each motion, [N·m].
+        Solutions have shape (F, p), and residuals (N, n) for each motion, [N·m].
         """
         found = []
         for fold, chunks in zip(self.folds, self.chunks, strict=True):
@@ -77,8 +72,7 @@ class Data:
     def squares(self, residual: Sequence[Array]) -> Array:
         """Squares of the moving joints in each block, shape (B, n), [N²·m²].
 
-        Args:
-            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
+        The residual is at the rate of the motions, shape (N, n) for each, [N·m].
         """
         label = np.concatenate(self.blocks)
         moves = np.concatenate([self.moves(m) for m in self.motions])
@@ -148,11 +142,7 @@ class Data:
         return np.asarray(moves & motion.mask[:, None])
 
     def decimated(self, residual: Sequence[Array]) -> Residual:
-        """A residual filtered and decimated, all motions concatenated.
-
-        Args:
-            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
-        """
+        """A residual as in :meth:`squares`, filtered, decimated and concatenated."""
         parts = []
         for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
             sampler = Sampler.for_rate(motion.rate, self.cutoff)

@@ -103,16 +103,10 @@ def _undetermined(A: Array) -> tuple[int, ...]:
 
 
 def weak_directions(A: Array, weakest: float) -> Array:
-    """Directions of the unknowns that belong to small singular values.
+    """Orthonormal directions of small singular values, shape (p, any number).
 
-    Args:
-        A: Normal matrix, shape (p, p).
-        weakest: Largest singular value that counts as small, as a share of the
-            largest of all.
-
-    Returns:
-        Orthonormal directions, in columns; the unknowns are scaled so that the
-        regression columns have unit length; shape (p, any number).
+    These are at most a share ``weakest`` of the largest one. The unknowns are scaled so
+    that the regression columns have unit length.
     """
     values, vectors = eigh(unit_columns(A)[0])
     return np.asarray(vectors[:, values <= weakest**2 * values[-1]])

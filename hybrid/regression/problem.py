@@ -183,12 +183,8 @@ def build_problem(
 ) -> Problem:
     """Stack rigid body and effects and reduce them to identifiable unknowns.
 
-    Args:
-        chain: The arm.
-        effects: Effects whose gains are unknown.
-        inertial: Link parameters for the transmitted torque, shape (n, 10); those of
-            the chain by default.
-        without: Gains that are not unknowns: index of the effect, name of the gain.
+    The transmitted torque is that of the link parameters of the chain, or of others,
+    shape (n, 10). Gains ``without`` (index of the effect, name of the gain) are known.
     """
     columns = effect_gains(effects, without)
     base = stacked_base(chain, effects, columns)
