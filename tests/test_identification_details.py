@@ -1,7 +1,6 @@
 """Parts of the identification by themselves, on made-up numbers."""
 
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -300,8 +299,8 @@ def test_link_parameters_are_as_unsure_as_their_unit_and_size_say():
 
 
 def test_friction_that_the_user_gave_is_replaced_at_no_joint_of_its_own():
-    stage = SimpleNamespace(extra=(Coulomb((0,)),))
-    may = partial(Identification._is_friction, stage)
+    stage = Identification.__new__(Identification)
+    stage.extra, may = (Coulomb((0,)),), stage._is_friction
     assert not may(Coulomb((0,)))
     assert may(Coulomb((1,)))
     assert may(Viscous((0,)))

@@ -5,7 +5,7 @@ remainder, and physically consistent links. A new term of a joint is accepted on
 lowers the held-out error of the predicted torque; see ``gate.py``.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -75,9 +75,8 @@ class Identification:
     def rigid_stage(self, products: CrossProducts) -> dict[str, Array]:
         """Fit the rigid body with linear friction, whose cross-products are given.
 
-        Returns:
-            Held-out RMS of each joint by estimator, and of the best one with the
-            prior, shape (n,) each, [N·m].
+        Returns the held-out RMS of each joint by estimator, and of the best one with
+        the prior, shape (n,) each, [N·m].
         """
         if any(e.changes_signals for e in self.extra):
             products, self.settled = self.solver.linearised(products)
@@ -259,11 +258,8 @@ class Identification:
 
     def _replaceable(self, solution: Solution, joint: int) -> list[Effect]:
         """Effects of one joint that are not the user's."""
-        return [
-            e
-            for e in solution.effects
-            if e.joints == (joint,) and not _is_among(e, self.extra)
-        ]
+        own = [e for e in solution.effects if e.joints == (joint,)]
+        return [e for e in own if not self._is_given(e)]
 
     def _extend(
         self,
@@ -274,8 +270,7 @@ class Identification:
     ) -> bool:
         """Add terms that pass the gate, until the cost falls by a tolerance or less.
 
-        Returns:
-            Whether any were added.
+        Returns whether any were added.
         """
         before = self.best
         for _ in range(_MOST_ROUNDS):
@@ -290,8 +285,8 @@ class Identification:
 
     def _fitted(self, start: Solution, terms: Terms) -> Solution:
         """The solution with other effects at some joints."""
-        old = [e for j in terms for e in self._replaceable(start, j)]
-        kept = [e for e in start.effects if not any(e is x for x in old)]
+        old = {(j,) for j in terms}
+        kept = [e for e in start.effects if e.joints not in old or self._is_given(e)]
         new = [e for effects in terms.values() for e in effects]
         return self.solver.with_effects(start, [*kept, *new])
 
@@ -306,7 +301,13 @@ class Identification:
 
     def _is_friction(self, effect: Effect) -> bool:
         """Whether the friction stage may replace an effect; the user's ones stay."""
-        return isinstance(effect, _FRICTION) and not _is_among(effect, self.extra)
+        return isinstance(effect, _FRICTION) and not self._is_given(effect)
+
+    def _is_given(self, effect: Effect) -> bool:
+        """Whether the user gave an effect of the same class at the same joints."""
+        return any(
+            type(effect) is type(e) and effect.joints == e.joints for e in self.extra
+        )
 
     def _record_stage(self, solution: Solution) -> None:
         """Keep the model of a finished stage for comparison."""
@@ -316,8 +317,3 @@ class Identification:
     def _leave_out(self, text: str) -> None:
         self.left_out.append(text)
         self.warnings.append(f"left out {text} on held-out samples")
-
-
-def _is_among(effect: Effect, others: Sequence[Effect]) -> bool:
-    """Whether the others have an effect of the same class at the same joints."""
-    return any(type(effect) is type(e) and effect.joints == e.joints for e in others)

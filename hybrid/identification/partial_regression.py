@@ -67,15 +67,10 @@ class PartialRegression:
     def cross_validated(
         self, waves: Sequence[Array], fold: Index
     ) -> tuple[Array, Array]:
-        """Squared residuals on each fold by a fit on the other folds.
+        """Squared residuals on each fold of the samples by a fit on the other folds.
 
-        Args:
-            waves: K pairs of columns, shape (2, M) each.
-            fold: Fold of each sample, shape (M,).
-
-        Returns:
-            Squares without a new pair, shape (F,), and with each, shape (K, F),
-            [N²·m²].
+        They are those without a new pair of columns, shape (F,), and with each of K
+        pairs, shape (K, F), [N²·m²].
         """
         folds, d = len(self.others[0]), len(self.columns)
         every = np.concatenate([self.columns, *waves, self.residual[None]])
@@ -96,10 +91,7 @@ class PartialRegression:
     def is_significant(self, wave: Array, block: Index, chance: float) -> bool:
         """F-test: whether the gains of a pair of columns differ from zero.
 
-        Args:
-            wave: Pair of columns, shape (2, M).
-            block: Block of each sample, shape (M,); noise may be correlated within one.
-            chance: Probability that noise alone passes.
+        Noise, which may be correlated within a block of samples, passes by ``chance``.
         """
         gains, inverse, slopes, rest = self._fitted(wave)
         if _ridge(wave @ wave.T) * np.linalg.norm(inverse, 2) > 0.5:

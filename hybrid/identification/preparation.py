@@ -201,11 +201,7 @@ def products_at_best_cutoff(
     halved while that lowers the held-out error of weighted least squares by more than
     the friction which it hides may be worth.
 
-    Args:
-        logs: Checked logs, see :func:`checked_logs`, or motions made from them.
-        problem: The linear model.
-        cutoff: The cut-off, if it is not to be chosen, [Hz].
-        robust: Whether outlying blocks count less.
+    The logs are those of :func:`checked_logs`. A cut-off that is given, [Hz], is used.
 
     Raises:
         IdentificationError: Every sample is masked, or the cut-off is too low.

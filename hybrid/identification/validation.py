@@ -29,10 +29,8 @@ def fair_bar(rms: Mapping[str, Array]) -> str:
     """Name of the best fit of rigid body and linear friction alone, else of the first.
 
     Plain least squares have an arbitrary error on unseen motion where the logs hardly
-    determine a parameter; the prior of the robot file holds such parameters.
-
-    Args:
-        rms: RMS torque error of each model by name, shape (n,), [N·m].
+    determine a parameter; the prior of the robot file holds such parameters. Models
+    have an RMS torque error by name, shape (n,) each, [N·m].
     """
     linear = [name for name in rms if name in _LINEAR]
     return min(linear or list(rms)[:1], key=lambda name: float(np.nanmean(rms[name])))
@@ -169,17 +167,11 @@ def validate(
 
 
 def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
-    """RMS of white noise in a torque, from its power far above the cut-off.
+    """RMS of white noise in the torque that a model leaves, shape (n,), [N·m].
 
-    Links have no power there, but the steps of dry friction, ripple and resonance may
-    have.
-
-    Args:
-        motions: Motions at full rate, with the torque that a model leaves.
-        cutoff: Cut-off of columns and torque, [Hz].
-
-    Returns:
-        RMS, shape (n,), [N·m], or None if the sampling rate is too low.
+    It is found from the power far above the cut-off of columns and torque, [Hz], and
+    None if the sampling rate is too low. Links have no power there, but the steps of
+    dry friction, ripple and resonance may have.
     """
     power = []
     for motion in motions:
