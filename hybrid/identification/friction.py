@@ -75,8 +75,8 @@ def fit_friction(
 ) -> tuple[Effect, ...]:
     """Threshold friction of one joint, and load friction if it lowers the error.
 
-    It is fitted to the rest of the torque less all terms but friction. Rest and load,
-    the torque transmitted to the link, have the shape (N,) for each motion, [N·m].
+    It is fitted to ``rest``, the torque less all terms but friction. Rest and load, the
+    torque transmitted to the link, have the shape (N,) for each motion, [N·m].
     """
     products = _maps()[:, None] @ _products(data, joint, rest, load)
     products = products @ _maps().transpose(0, 2, 1)[:, None]

@@ -184,7 +184,7 @@ def build_problem(
     """Stack rigid body and effects and reduce them to identifiable unknowns.
 
     The transmitted torque is that of the link parameters of the chain, or of others,
-    shape (n, 10). Gains ``without`` (index of the effect, name of the gain) are known.
+    shape (n, 10). Gains in ``without`` (index of the effect, name) are no unknowns.
     """
     columns = effect_gains(effects, without)
     base = stacked_base(chain, effects, columns)
