@@ -22,8 +22,8 @@ import pinocchio as pin
 from tables import show
 
 from hybrid import DynamicModel
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.exports import export, program_from_model
 from hybrid.plant import load_truth
 from hybrid.regression.problem import build_problem
@@ -42,7 +42,7 @@ def models() -> dict[str, DynamicModel]:
     _, plant = load_truth(TRUTH)
     robot, rng = plant.robot, np.random.default_rng(0)
     x, y = rng.normal(size=(3000, 2)), rng.normal(size=(3000, 1))
-    mixture = GaussianMixtureRegression.fit(x, y, components=20, covariance_floor=1e-2)
+    mixture = fit_gmr(x, y, components=20, covariance_floor=1e-2)
     parts = tuple(JointRemainder(j, (j,), (j,), mixture) for j in range(robot.size))
     base, links = build_problem(robot.chain, ()).base, robot.chain.inertial
     effects, learned = tuple(plant.effects), ArmRemainder(robot.size, parts)

@@ -23,8 +23,8 @@ import numpy as np
 from tables import show
 
 from hybrid import DynamicModel, Effect, Robot
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.effects import effect_class
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
@@ -70,9 +70,7 @@ def mixtures(n: int) -> ArmRemainder:
     """A mixture at each joint over its position and speed."""
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=(3000, 2)), rng.normal(size=(3000, 1))
-    learned = GaussianMixtureRegression.fit(
-        x, y, components=COMPONENTS, covariance_floor=1e-2
-    )
+    learned = fit_gmr(x, y, components=COMPONENTS, covariance_floor=1e-2)
     return ArmRemainder(
         n, tuple(JointRemainder(j, (j,), (j,), learned) for j in range(n))
     )

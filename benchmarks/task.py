@@ -11,8 +11,8 @@ from time import process_time
 
 import numpy as np
 
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
@@ -25,7 +25,8 @@ from hybrid.effects.viscous import Viscous
 from hybrid.identification import DynamicModel
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.data import Data
-from hybrid.regression.intervals import Estimate, solve
+from hybrid.regression.intervals import Estimate, with_uncertainty
+from hybrid.regression.least_squares import solve_weighted
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -72,7 +73,7 @@ def identify_plainly(robot: Robot, motion: Motion) -> tuple[Estimate, dict[str, 
     data = Data((motion,), (fold,), np.inf, np.zeros(robot.size))
     products = accumulate(problem, data)
     times.append(process_time())
-    estimate = solve(products, "irls")
+    estimate = with_uncertainty(products, solve_weighted(products, "irls"))
     times.append(process_time())
     names = ("reduction", "columns and cross-products", "IRLS and intervals")
     return estimate, dict(zip(names, np.diff(times).tolist(), strict=True))
@@ -88,7 +89,7 @@ def full_model(robot: Robot, motion: Motion) -> DynamicModel:
     parts = []
     for j in joints:
         x = np.column_stack([motion.q[few, j], motion.v[few, j]])
-        regression = GaussianMixtureRegression.fit(
+        regression = fit_gmr(
             x, rng.standard_normal((len(few), 1)), components=8, seed=0
         )
         parts.append(JointRemainder(j, (j,), (j,), regression))

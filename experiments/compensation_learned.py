@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid import DynamicModel, Recording
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.signals import motion_from_recording
 
 
@@ -30,8 +30,6 @@ def learned(model: DynamicModel, logs: list[Recording]) -> DynamicModel:
     for j in range(n):
         near = tuple(k for k in (j - 1, j, j + 1) if 0 <= k < n)
         part = JointRemainder(j, near, (j,), None)  # type: ignore[arg-type]
-        fitted = GaussianMixtureRegression.fit(
-            part.inputs(q, v), rest[:, j : j + 1], components=8, seed=0
-        )
+        fitted = fit_gmr(part.inputs(q, v), rest[:, j : j + 1], components=8, seed=0)
         parts.append(replace(part, regression=fitted))
     return replace(model, remainder=ArmRemainder(n, tuple(parts)), inertial=None)

@@ -15,11 +15,11 @@ from learners import NetworkRegression, RandomFeatureRegression, SymmetricRegres
 from learners.em import fit_structured
 
 from hybrid import DynamicModel, Recording
-from hybrid.compensator import GaussianMixtureRegression
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.signals import Sampler, motion_from_recording
 
 EVERY, HISTORY = 5, 16  # samples
-mixture = partial(GaussianMixtureRegression.fit, components=12)
+mixture = partial(fit_gmr, components=12)
 structured = partial(fit_structured, components=12)
 odd = partial(SymmetricRegression.fit, signs=[1.0, -1.0], parity=-1.0)
 LEARNERS: dict[str, tuple[Callable[..., Any], int]] = {

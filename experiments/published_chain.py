@@ -28,8 +28,8 @@ from scipy.optimize import nnls
 
 from hybrid import Motion, Recording, Robot
 from hybrid.arrays import Array
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.effects import Effect, JointEffect, JointState, Port, Quantity
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
@@ -39,8 +39,7 @@ from hybrid.identification import DynamicModel
 from hybrid.identification.preparation import checked_logs, prepare
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.data import Data
-from hybrid.regression.intervals import solve
-from hybrid.regression.least_squares import ESTIMATORS, Estimator
+from hybrid.regression.least_squares import ESTIMATORS, Estimator, solve_weighted
 from hybrid.regression.problem import build_problem
 from hybrid.signals import Sampler
 
@@ -195,7 +194,7 @@ def rigid(
     """
     problem = build_problem(robot.chain, effects)
     products = accumulate(problem, data.minus(explained or None))
-    base, found = problem.fitted(solve(products, estimator).theta)
+    base, found = problem.fitted(solve_weighted(products, estimator).theta)
     return DynamicModel(robot, base, found, None, data.cutoff, data.standing)
 
 
@@ -304,11 +303,10 @@ def mixtures(rest: Rest, counts: Sequence[int | None], seed: int) -> ArmRemainde
     apart = max(1, round(_APART * rest.rate))
     for joint, count in enumerate(counts):
         moving = np.flatnonzero(rest.moving[:, joint])[::apart]
-        regression = GaussianMixtureRegression.fit(
+        regression = fit_gmr(
             np.stack([rest.q[moving, joint], rest.v[moving, joint]], axis=1),
             rest.tau[moving, joint, None],
-            components=count,
-            candidates=COMPONENTS,
+            components=COMPONENTS if count is None else count,
             seed=seed,
         )
         parts.append(JointRemainder(joint, (joint,), (joint,), regression))

@@ -16,6 +16,8 @@ from hybrid.errors import HybridWarning
 from hybrid.identification import Fit, Validation, identify, validate
 from hybrid.plant import load_truth, random_fourier, simulate
 from hybrid.regression.data import Data
+from hybrid.regression.intervals import with_uncertainty
+from hybrid.regression.least_squares import solve_weighted
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -77,6 +79,12 @@ def data_of(chosen, *, cutoff=np.inf, standing=-1.0, folds=None):
     folds = folds or [np.zeros(len(m.t), dtype=int) for m in chosen]
     still = np.full(chosen[0].q.shape[1], standing)
     return Data(tuple(chosen), tuple(folds), cutoff, still)
+
+
+def solve(products, estimator="irls", **options):
+    """A solution with its uncertainty."""
+    found = solve_weighted(products, estimator, **options)
+    return with_uncertainty(products, found)
 
 
 def coloured(rng, samples, covariance, memory):

@@ -12,6 +12,7 @@ from hybrid.compensator.checks import check_matrix, check_pair, draw
 from hybrid.compensator.gmr_fit import (
     _usable,
     choose_components,
+    fit_gmr,
     predictive_log_likelihood,
 )
 from hybrid.errors import HybridError, IdentificationError, ModelFileError
@@ -86,9 +87,7 @@ def test_by_itself_a_fit_tries_powers_of_two_and_finds_two_parts():
     x = side + rng.normal(size=(3000, 1))
     y = np.where(side > 0, x, -2.0 * x) + 0.3 * rng.normal(size=x.shape)
     held_out = slice(2000, None)
-    model = GaussianMixtureRegression.fit(
-        x[:2000], y[:2000], validation=(x[held_out], y[held_out])
-    )
+    model = fit_gmr(x[:2000], y[:2000], validation=(x[held_out], y[held_out]))
     assert model.components == 2
 
 
@@ -116,7 +115,7 @@ def test_components_need_one_sample_more_each_than_they_have_rows():
 
 def test_the_fade_starts_where_all_but_a_two_hundredth_of_the_samples_lie():
     x, y = sample(0, n=4000)
-    model = GaussianMixtureRegression.fit(x, y, components=4)
+    model = fit_gmr(x, y, components=4)
     start, end = model.fade
     assert end == 4.0 * start
     assert np.mean(model.distance(x) > start) == pytest.approx(0.005, abs=0.001)
@@ -175,7 +174,7 @@ def test_a_mixture_that_could_not_predict_is_refused(name, value, message):
 def test_far_away_a_mixture_is_as_unsure_as_torque_is_large(size):
     """Whatever its unit."""
     x, y = sample(0, n=500)
-    model = GaussianMixtureRegression.fit(x, size * y, components=1)
+    model = fit_gmr(x, size * y, components=1)
     np.testing.assert_allclose(model.prior_variance, size**2 * (y**2).mean(axis=0))
     _, variance = model.predict_distribution(np.full((1, 2), 1e3))
     np.testing.assert_allclose(variance[0], model.prior_variance, rtol=1e-6)
@@ -186,7 +185,7 @@ def test_a_score_is_a_log_likelihood_per_sample(monkeypatch):
     seen = {}
     monkeypatch.setattr(gmr_fit, "choose_components", lambda s: seen.update(s) or 1)
     x, y = np.random.default_rng(0).normal(size=(2, 4000, 1))
-    GaussianMixtureRegression.fit(x, y, candidates=(1, 2))
+    fit_gmr(x, y, components=(1, 2))
     bic = {1: 5, 2: 11}  # numbers of means, covariances and weights
     for count, numbers in bic.items():
         expected = -(1 + np.log(2 * np.pi)) - numbers * np.log(4000) / 8000

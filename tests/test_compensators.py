@@ -8,7 +8,7 @@ from learners import NetworkRegression, RandomFeatureRegression, SymmetricRegres
 from learners.em import fit_structured
 from learners.network import groups
 
-from hybrid.compensator import GaussianMixtureRegression
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.errors import HybridError, ModelFileError
 
 BOUND, NOISE = 0.6, 0.03
@@ -16,8 +16,8 @@ HISTORY = 4
 ODD = np.array([1.0, -1.0])
 
 
-def fit_gmr(x, y, **options):
-    return GaussianMixtureRegression.fit(x, y, components=6, **options)
+def fit_mixture(x, y, **options):
+    return fit_gmr(x, y, components=6, **options)
 
 
 def fit_low_rank(x, y, **options):
@@ -43,7 +43,7 @@ def fit_symmetric(x, y, **options):
 
 
 KINDS = {
-    "mixture": fit_gmr,
+    "mixture": fit_mixture,
     "low rank": fit_low_rank,
     "network": fit_network,
     "convolution": fit_convolution,

@@ -8,12 +8,19 @@ import pytest
 from arms import random_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from simulated import arm, data_of, linear_problem, motions, stacked, with_torque
+from simulated import (
+    arm,
+    data_of,
+    linear_problem,
+    motions,
+    solve,
+    stacked,
+    with_torque,
+)
 
 import hybrid.regression.data
 from hybrid.errors import IdentificationError
 from hybrid.regression.cross_products import accumulate
-from hybrid.regression.intervals import solve
 from hybrid.regression.prior import Prior
 from hybrid.signals import Sampler
 

@@ -18,8 +18,8 @@ from test_files import killed_at
 
 import hybrid
 from hybrid.cli import main
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.dynamics import BaseParameters, Law, regressor
 from hybrid.dynamics.base import inertial_labels
 from hybrid.dynamics.tape import OPERATIONS, Tape
@@ -77,9 +77,7 @@ def mixture(seed, inputs, components):
     rng = np.random.default_rng(seed)
     x = rng.normal(size=(1500, inputs))
     y = np.sin(2 * x[:, :1]) + 0.3 * x[:, 1:2] ** 2 + 0.1 * rng.normal(size=(1500, 1))
-    return GaussianMixtureRegression.fit(
-        x, y, components=components, covariance_floor=1e-3
-    )
+    return fit_gmr(x, y, components=components, covariance_floor=1e-3)
 
 
 @cache

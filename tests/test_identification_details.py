@@ -1,7 +1,6 @@
 """Parts of the identification by themselves, on made-up numbers."""
 
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -300,8 +299,8 @@ def test_link_parameters_are_as_unsure_as_their_unit_and_size_say():
 
 
 def test_friction_that_the_user_gave_is_replaced_at_no_joint_of_its_own():
-    stage = SimpleNamespace(extra=(Coulomb((0,)),))
-    may = partial(Identification._is_friction, stage)
+    stage = Identification.__new__(Identification)
+    stage.extra, may = (Coulomb((0,)),), stage._is_friction
     assert not may(Coulomb((0,)))
     assert may(Coulomb((1,)))
     assert may(Viscous((0,)))
@@ -310,12 +309,12 @@ def test_friction_that_the_user_gave_is_replaced_at_no_joint_of_its_own():
 
 def test_friction_is_fitted_again_until_a_round_gains_nothing():
     costs = iter([8.0, 5.0, 5.0, 4.0, 3.0])
-    start = SimpleNamespace(squares=9.0)
-    stage = SimpleNamespace(best=start, solver=SimpleNamespace(cost=float))
-    stage._friction_candidates = lambda _: {}
-    stage._accepted = lambda *_: SimpleNamespace(squares=next(costs))
-    stage._adopt = lambda found: setattr(stage, "best", found)
-    Identification.friction_stage(stage)
+    stage = Identification.__new__(Identification)
+    stage.best = SimpleNamespace(squares=np.array([[9.0]]))
+    stage.solver = SimpleNamespace(cost=np.sum)
+    stage._friction_candidates = lambda _: [{0: []}]
+    stage._fitted = lambda *_: SimpleNamespace(squares=np.array([[next(costs)]]))
+    stage.friction_stage()
     assert stage.best.squares == 5.0 and next(costs) == 4.0
 
 

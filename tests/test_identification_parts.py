@@ -1,6 +1,6 @@
 """Gates, costs and limits of the identification, just below and just above each."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -353,8 +353,9 @@ def stage(file=1.0, model=1.0, base=1.0, effects=()):
         motions=(None,), squares=lambda residual: residual[0]
     )  # fmt: skip
     return SimpleNamespace(
-        data=data, solver=judge, squares=model**2 * one, extra=effects, warnings=[],
-        robot=pendulum(2), _file_residual=lambda _: file**2 * one,
+        data=data, solver=judge, best=SimpleNamespace(squares=model**2 * one),
+        extra=effects, warnings=[], robot=pendulum(2),
+        _file_residual=lambda _: file**2 * one,
     )  # fmt: skip
 
 
@@ -391,32 +392,39 @@ def test_blocks_are_forty_eight_at_least():
 # --- stages ---------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Found:
+    """A solution of which only the cost is known."""
+
+    squares: float
+    remainder: object = None
+    effects: tuple = ()
+    name: str = "start"
+
+
 def ripples(monkeypatch, accepted):
     """A search for ripple in which some rounds are accepted; what it recorded."""
-    start, found = SimpleNamespace(name="start"), iter(accepted)
+    found = iter(accepted)
     wave = TorqueRipple((0,), {"periods": 20.0, "fastest": 9.0})
     own = Coulomb((0,))
-    made = SimpleNamespace(
-        best=start, data=SimpleNamespace(cutoff=10.0), seen=[], recorded=[],
-        _replaceable=lambda best, j: [own],
-    )  # fmt: skip
+    made = Identification.__new__(Identification)
+    made.best, made.solver = Found(9.0), SimpleNamespace(cost=float)
+    made.data, made.seen, made.recorded = SimpleNamespace(cutoff=10.0), [], []
+    made._replaceable = lambda best, j: [own]
+    made._record_stage = made.recorded.append
 
-    def _accepted(best, options, *, tried):
+    def with_accepted(best, options, fitted, *, tried):
         made.seen.append(tried)
         whole, slow = ([e.values.get("fastest") for e in x[0][1:]] for x in options)
         assert whole == [9.0] and slow == pytest.approx([np.pi])
         assert options[0][0][0] is options[1][0][0] is own
         new = next(found)
-        return SimpleNamespace(name=new) if new else best
+        return Found(best.squares - 1.0, name=new) if new else best
 
-    made._accepted = _accepted
-    made._adopt = lambda new: setattr(made, "best", new)
-    made._record_stage = made.recorded.append
-    monkeypatch.setattr(
-        "hybrid.identification.identification.find_ripples",
-        lambda best: {0: [wave]},
-    )
-    Identification.ripple_stage(made)
+    where = "hybrid.identification.identification"
+    monkeypatch.setattr(f"{where}.with_accepted", with_accepted)
+    monkeypatch.setattr(f"{where}.find_ripples", lambda best: {0: [wave]})
+    made.ripple_stage()
     return made
 
 
@@ -429,37 +437,30 @@ def test_ripple_is_looked_for_until_none_is_accepted_four_times_at_most(monkeypa
     assert len(ripples(monkeypatch, list("abcdef")).seen) == 4
 
 
-def remainders(costs, parts=True):
+def remainders(costs, remainder="learned"):
     """Rounds of a remainder at whose end the cost is as is said."""
     costs = iter(costs)
-    made = SimpleNamespace(
-        best="physical", squares=next(costs), remainder=None, settled=True, rounds=1,
-        left_out=[], recorded=[],
-        solver=SimpleNamespace(
-            cost=float, with_effects=lambda start, effects, known: start
-        ),
-    )  # fmt: skip
-    made.best = SimpleNamespace(effects=())
-
-    def _learned(physical):
-        own = SimpleNamespace(parts=(1,) if parts else ())
-        return SimpleNamespace(remainder=own, squares=next(costs), cross=[])
-
-    made._learned = _learned
+    made = Identification.__new__(Identification)
+    made.best, made.settled, made.rounds = Found(next(costs)), True, 1
+    made.left_out, made.recorded = [], []
+    made.solver = SimpleNamespace(
+        cost=float, with_effects=lambda start, effects, known: start
+    )
+    made._with_remainder = lambda _: (Found(next(costs), remainder), [])
     made._leave_out, made._record_stage = made.left_out.append, made.recorded.append
-    Identification.remainder_stage(made)
+    made.remainder_stage()
     return made
 
 
 def test_a_remainder_is_learned_until_a_round_gains_half_a_hundredth():
     settled = remainders([9.0, 5.0, 4.9951])
-    assert (settled.rounds, settled.settled, settled.squares) == (2, True, 4.9951)
+    assert (settled.rounds, settled.settled, settled.best.squares) == (2, True, 4.9951)
     assert len(settled.recorded) == 1 and settled.left_out == []
     more = remainders([9.0, 5.0, 4.9949, 4.9949])
-    assert (more.rounds, more.settled, more.squares) == (3, True, 4.9949)
+    assert (more.rounds, more.settled, more.best.squares) == (3, True, 4.9949)
     endless = remainders([9.0, 8.0, 7.0, 6.0, 5.0])
-    assert (endless.rounds, endless.settled, endless.squares) == (4, False, 5.0)
-    for none in (remainders([9.0, 10.0]), remainders([9.0, 5.0], parts=False)):
-        assert none.remainder is None and none.squares == 9.0 and none.settled
+    assert (endless.rounds, endless.settled, endless.best.squares) == (4, False, 5.0)
+    for none in (remainders([9.0, 10.0]), remainders([9.0, 5.0], None)):
+        assert none.best == Found(9.0) and none.settled
         assert none.left_out == ["remainder: no regression lowers the error"]
         assert none.recorded == []

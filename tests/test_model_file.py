@@ -14,8 +14,8 @@ from arms import MODELS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.effects import Scale
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
@@ -39,7 +39,7 @@ def some_model(seed=0) -> DynamicModel:
     full = np.append(robot.chain.inertial.ravel(), rng.uniform(0.1, 1.0, 4))
     base, effects = problem.fitted(problem.base.mapping @ full)
     x, y = rng.normal(size=(300, 2)), rng.normal(size=(300, 1))
-    regression = GaussianMixtureRegression.fit(x, y, components=1)
+    regression = fit_gmr(x, y, components=1)
     plain = DynamicModel(robot, base, effects, None, 20.0, np.full(2, 0.01))
     return replace(
         plain,

@@ -4,11 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import arm, data_of, linear_problem, motions, stacked, with_torque
+from simulated import (
+    arm,
+    data_of,
+    linear_problem,
+    motions,
+    solve,
+    stacked,
+    with_torque,
+)
 
 from hybrid.regression import intervals
 from hybrid.regression.cross_products import accumulate
-from hybrid.regression.intervals import solve
 from hybrid.regression.least_squares import pseudo_solve, residual_covariance
 
 

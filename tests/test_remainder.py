@@ -42,10 +42,11 @@ def rms(data):
 
 
 def learn(data, **options):
-    """A remainder of all the torque of the data, and what it leaves, shape (n,)."""
+    """A remainder of all the torque of the data, its torque, and what it leaves."""
     (motion,) = data.motions
-    found = fit_remainder(data, [motion.tau], **options)
-    return found, np.sqrt(found.squares.sum(axis=0) / data.moving)
+    found, (cross,) = fit_remainder(data, [motion.tau], **options)
+    squares = data.squares([motion.tau - cross])
+    return found, cross, np.sqrt(squares.sum(axis=0) / data.moving)
 
 
 def bump(q, v):
@@ -86,27 +87,27 @@ def learned(data):
 
 
 def test_structure_is_learned_at_its_joint_and_nowhere_else(data):
-    learned, left = learn(data)
+    learned, cross, left = learn(data)
     before = rms(data)
-    (part,) = learned.remainder.parts
+    (part,) = learned.parts
     assert part.joint == 1
     assert left[1] < 0.35 * before[1]
     assert left[1] < 2.0 * 0.1  # of the noise
     np.testing.assert_allclose(left[[0, 2]], before[[0, 2]], rtol=1e-12)
-    assert (learned.cross[0][:, [0, 2]] == 0).all()
+    assert (cross[:, [0, 2]] == 0).all()
 
 
 def test_what_is_learned_holds_on_other_motion(learned):
     (other,) = rest(bump, seed=1, noise=1e-9).motions
     near = np.abs(other.q[:, 1]) < 0.8
-    error = (learned.remainder.predict(other.q, other.v) - other.tau)[near, 1]
+    error = (learned.predict(other.q, other.v) - other.tau)[near, 1]
     assert np.sqrt(np.mean(error**2)) < 0.3 * np.sqrt(np.mean(other.tau[near, 1] ** 2))
 
 
 def test_a_neighbours_position_is_taken_in_where_it_matters():
     data = rest(of_neighbour)
-    learned, left = learn(data)
-    (part,) = learned.remainder.parts
+    learned, _, left = learn(data)
+    (part,) = learned.parts
     assert part.joint == 0 and 1 in part.positions
     assert left[0] < 0.5 * rms(data)[0]
 
@@ -114,9 +115,9 @@ def test_a_neighbours_position_is_taken_in_where_it_matters():
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_is_learned_from_noise(seed):
     """Slow noise looks like structure to one who scores on neighbouring samples."""
-    learned, _ = learn(rest(nothing, seed=seed))
-    assert learned.remainder.parts == ()
-    assert (learned.cross[0] == 0).all()
+    learned, cross, _ = learn(rest(nothing, seed=seed))
+    assert learned.parts == ()
+    assert (cross == 0).all()
 
 
 def test_samples_that_do_not_count_teach_nothing(data, learned):
@@ -124,24 +125,22 @@ def test_samples_that_do_not_count_teach_nothing(data, learned):
     (motion,) = data.motions
     masked = replace(motion, mask=np.abs(motion.q[:, 1]) >= 0.2)
     spoiled = np.where(masked.mask[:, None], motion.tau, 50.0)
-    (found, left), (clean, expected) = (
-        learn(
-            replace(data, motions=(replace(masked, tau=tau),)), among=learned.remainder
-        )
+    (found, _, left), (clean, _, expected) = (
+        learn(replace(data, motions=(replace(masked, tau=tau),)), among=learned)
         for tau in (spoiled, motion.tau)
     )
-    for name, x in clean.remainder.arrays().items():
-        np.testing.assert_array_equal(found.remainder.arrays()[name], x)
+    for name, x in clean.arrays().items():
+        np.testing.assert_array_equal(found.arrays()[name], x)
     np.testing.assert_array_equal(left, expected)
 
 
 def test_a_second_round_keeps_to_the_joints_and_inputs_of_the_first(learned):
-    again = learn(rest(of_neighbour), among=learned.remainder)[0].remainder
+    again = learn(rest(of_neighbour), among=learned)[0]
     assert {p.joint for p in again.parts} <= {1}
 
 
 def test_it_fades_to_zero_outside_its_data_and_stays_bounded(data, learned):
-    remainder, (data,) = learned.remainder, data.motions
+    (data,), remainder = data.motions, learned
     inside = np.abs(remainder.predict(data.q, data.v)[:, 1])
     assert inside.max() <= np.abs(data.tau[:, 1]).max()
     far = np.full((1, 3), 20.0)
@@ -153,10 +152,10 @@ def test_it_fades_to_zero_outside_its_data_and_stays_bounded(data, learned):
 
 def test_a_remainder_never_exceeds_its_bound(data, learned):
     bound = np.array([9.0, 0.4, 9.0])
-    found, (data,) = learn(data, bound=bound)[0].remainder, data.motions
+    found, (data,) = learn(data, bound=bound)[0], data.motions
     tau = found.predict(data.q, data.v)
     assert np.abs(tau[:, 1]).max() == 0.4
-    assert np.abs(learned.remainder.predict(data.q, data.v)[:, 1]).max() > 0.8
+    assert np.abs(learned.predict(data.q, data.v)[:, 1]).max() > 0.8
     rng = np.random.default_rng(0)
     states = rng.normal(size=(2, 100_000, 3)) * 10 ** rng.uniform(
         -2, 4, (2, 100_000, 1)
@@ -167,7 +166,7 @@ def test_a_remainder_never_exceeds_its_bound(data, learned):
 def test_variance_is_that_of_the_noise_and_unknown_where_nothing_was_learned(
     data, learned
 ):
-    remainder, (data,) = learned.remainder, data.motions
+    (data,), remainder = data.motions, learned
     mean, variance = remainder.at_instant(data.q.T, data.v.T)
     found = remainder.predict(data.q, data.v)  # compiled
     for joint, x in enumerate(mean):
@@ -180,7 +179,7 @@ def test_variance_is_that_of_the_noise_and_unknown_where_nothing_was_learned(
 
 
 def test_arrays_and_description_give_the_same_remainder_back(data, learned):
-    remainder, (data,) = learned.remainder, data.motions
+    (data,), remainder = data.motions, learned
     again = ArmRemainder.from_dict(3, remainder.as_dict(), remainder.arrays())
     np.testing.assert_array_equal(
         again.predict(data.q, data.v), remainder.predict(data.q, data.v)

@@ -13,6 +13,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression
+from hybrid.compensator.gmr_fit import fit_gmr
 
 Structure = Literal["full", "diagonal", "low_rank"]
 
@@ -80,9 +81,9 @@ def fit_structured(
         y: Torque that is left, shape (N, m), [N·m].
         structure: What covariances may be.
         rank: Number of directions of a low rank.
-        **options: As for :meth:`GaussianMixtureRegression.fit`.
+        **options: As for :func:`fit_gmr`.
     """
-    free = GaussianMixtureRegression.fit(x, y, **options)
+    free = fit_gmr(x, y, **options)
     size = np.sqrt(free.prior_variance)
     scale = np.concatenate([np.ones(free.inputs), size])
     joint = np.hstack([(x - free.input_offset) / free.input_scale, y / size])

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator.checks import check_matrix
-from hybrid.compensator.gmr import FARTHEST, GaussianMixtureRegression
+from hybrid.compensator.gmr import FARTHEST
+from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.errors import HybridError, ModelFileError
 
 LOG_VARIANCE = (-14.0, 6.0)  # range of a network's log variance, standardised
@@ -57,7 +58,7 @@ class Envelope:
             bound: Largest absolute output, [N·m]; the largest of ``y`` by default.
             rng: Source of the mixture's start.
         """
-        mixture = GaussianMixtureRegression.fit(
+        mixture = fit_gmr(
             x, y, components=min(_COMPONENTS, len(x) // (x.shape[1] + y.shape[1] + 1)),
             seed=rng, bound=bound, covariance_floor=1e-3,
         )  # fmt: skip

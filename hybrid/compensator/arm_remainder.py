@@ -50,12 +50,7 @@ class ArmRemainder:
     parts: tuple[JointRemainder, ...]
 
     def predict(self, q: Array, v: Array) -> Array:
-        """Mean torque, shape (N, n), [N·m].
-
-        Args:
-            q: Positions, shape (N, n), [rad].
-            v: Speeds, shape (N, n), [rad/s].
-        """
+        """Mean torque at some positions and speeds, shape (N, n), [N·m]."""
         check_matrix("state", np.concatenate([q, v], axis=1), 2 * self.size)
         return self._law.along((q, v))
 

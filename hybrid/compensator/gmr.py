@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_matrix, check_pair, draw
+from hybrid.compensator.checks import check_matrix
 from hybrid.errors import HybridError, ModelFileError
 
 _ROWS = 4096  # samples at a time, which stay in the cache
@@ -138,78 +138,15 @@ class GaussianMixtureRegression:
         """Number of components K."""
         return self.weights.size
 
-    @staticmethod
-    def fit(
-        x: ArrayLike,
-        y: ArrayLike,
-        *,
-        components: int | None = None,
-        candidates: Sequence[int] = (1, 2, 4, 8, 16),
-        validation: tuple[ArrayLike, ArrayLike] | None = None,
-        seed: int | np.random.Generator = 0,
-        covariance_floor: float = 1e-4,
-        max_samples: int = 20_000,
-        bound: ArrayLike | None = None,
-    ) -> GaussianMixtureRegression:
-        """Learn the mixture by expectation maximisation.
-
-        Args:
-            x: Inputs such as joint position and speed, shape (N, d), any unit.
-            y: Residual torque of the physical terms, shape (N, m), [N·m].
-            components: Number of components K; None selects one of ``candidates``.
-            candidates: Numbers of components to try.
-            validation: Held-out ``(x, y)``, preferably whole motions; they select K by
-                predictive likelihood. Without them BIC selects K, which assumes
-                independent samples and so tends to a number too large.
-            seed: Seed or generator; equal seeds give equal models.
-            covariance_floor: Added to every variance, as a share of the variance of its
-                channel. It prevents components that collapse on a standstill, at whose
-                border the torque would jump.
-            max_samples: Largest number of rows, drawn without replacement.
-            bound: Largest absolute output, shape (m,) or scalar, [N·m], for instance a
-                share of the rated torque; the largest residual in ``y`` by default.
-
-        Returns:
-            The learned regression.
-
-        Raises:
-            HybridError: An array has the wrong shape or holds NaN or infinity.
-            IdentificationError: Too few samples for the number of components.
-        """
-        from hybrid.compensator.gmr_fit import fit_gmr  # scikit-learn is slow to load
-
-        x, y = check_pair(x, y)
-        rng, shape = np.random.default_rng(seed), y.shape[1:]
-        limit = np.abs(y).max(axis=0) if bound is None else np.asarray(bound, float)
-        if limit.shape not in ((), shape):
-            raise HybridError(f"bound has shape {limit.shape}, valid is {shape}")
-        pair, held_out = draw(x, y, max_samples, rng), None
-        if validation is not None:
-            checked = check_pair(*validation, columns=(x.shape[1], y.shape[1]))
-            held_out = draw(*checked, max_samples, rng)
-        return fit_gmr(
-            GaussianMixtureRegression,
-            pair,
-            held_out,
-            candidates=candidates if components is None else (components,),
-            bound=np.broadcast_to(limit, shape),
-            floor=covariance_floor,
-            rng=rng,
-        )
-
     def predict(self, x: ArrayLike) -> Array:
         """Expected remaining torque, as :meth:`predict_distribution` gives it."""
         return self.predict_distribution(x)[0]
 
     def predict_distribution(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Expected remaining torque and its variance.
+        """Expected remaining torque and its variance at inputs, shape (N, d).
 
-        Args:
-            x: Inputs, shape (N, d), [unit of the training inputs].
-
-        Returns:
-            Mean, within ±``bound``, zero far from the data, shape (N, m), [N·m], and
-            variance, shape (N, m), [(N·m)²].
+        The mean is within ±``bound``, and zero far from the data, shape (N, m), [N·m];
+        the variance has the shape (N, m), [(N·m)²].
 
         Raises:
             HybridError: ``x`` has the wrong shape or holds NaN or infinity.
@@ -222,16 +159,10 @@ class GaussianMixtureRegression:
         return found[0].T, found[1].T
 
     def distance(self, x: ArrayLike) -> Array:
-        """Soft minimum of the squared Mahalanobis distances to the components.
+        """Soft minimum of the squared Mahalanobis distances to the components, (N,).
 
         It is ``−2 log Σ_k exp(−d_k²/2)``, which is smooth where another component
-        becomes the nearest one.
-
-        Args:
-            x: Inputs, shape (N, d), [unit of the training inputs].
-
-        Returns:
-            Squared distance, which may be negative in overlaps, shape (N,).
+        becomes the nearest one, and may be negative where components overlap.
         """
         x = check_matrix("x", x, self.inputs)
         return np.asarray(_soft_minimum(self._parts(list(x.T))[0])[0])
@@ -260,8 +191,7 @@ class GaussianMixtureRegression:
     def at_instant(self, x: Sequence[Any]) -> tuple[list[Any], list[Any]]:
         """Mean [N·m] and variance [(N·m)²] of each output, by arithmetic on scalars.
 
-        Args:
-            x: The inputs: numbers, arrays, or symbols of a tape.
+        The inputs are numbers, arrays, or symbols of a tape.
         """
         c, found = self.conditional, []
         distance, outputs = self._parts(x)

@@ -1,21 +1,18 @@
 """Fit of the mixture: expectation maximisation, and selection of its size."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
 from hybrid.arrays import Array
-from hybrid.errors import IdentificationError
-
-if TYPE_CHECKING:
-    from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.compensator.checks import check_pair, draw
+from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.errors import HybridError, IdentificationError
 
 TRUSTED_SHARE = 0.995  # of the training samples, within the start of the fade
 FADE_RATIO = 4.0  # squared distance at the end of the fade, over that at its start
@@ -24,23 +21,54 @@ CONSTANT = 1e-12  # relative variation of a channel that counts as constant
 
 
 def fit_gmr(
-    kind: type[GaussianMixtureRegression],
-    pair: tuple[Array, Array],
-    held_out: tuple[Array, Array] | None,
+    x: ArrayLike,
+    y: ArrayLike,
     *,
-    candidates: Sequence[int],
-    bound: Array,
-    floor: float,
-    rng: np.random.Generator,
+    components: int | Sequence[int] = (1, 2, 4, 8, 16),
+    validation: tuple[ArrayLike, ArrayLike] | None = None,
+    seed: int | np.random.Generator = 0,
+    covariance_floor: float = 1e-4,
+    max_samples: int = 20_000,
+    bound: ArrayLike | None = None,
 ) -> GaussianMixtureRegression:
-    """See :meth:`GaussianMixtureRegression.fit`, of checked samples."""
+    """Learn a mixture by expectation maximisation.
+
+    Args:
+        x: Inputs such as joint position and speed, shape (N, d), any unit.
+        y: Residual torque of the physical terms, shape (N, m), [N·m].
+        components: Number of components K, or numbers of which the best is chosen.
+        validation: Held-out ``(x, y)``, preferably whole motions; they choose K by
+            predictive likelihood. Without them BIC chooses K, which assumes
+            independent samples and so tends to a number too large.
+        seed: Seed or generator; equal seeds give equal models.
+        covariance_floor: Added to every variance, as a share of the variance of its
+            channel. It prevents components that collapse on a standstill, at whose
+            border the torque would jump.
+        max_samples: Largest number of rows, drawn without replacement.
+        bound: Largest absolute output, shape (m,) or scalar, [N·m], for instance a
+            share of the rated torque; the largest residual in ``y`` by default.
+
+    Raises:
+        HybridError: An array has the wrong shape or holds NaN or infinity.
+        IdentificationError: Too few samples for the number of components.
+    """
+    x, y = check_pair(x, y)
+    rng, shape = np.random.default_rng(seed), y.shape[1:]
+    limit = np.abs(y).max(axis=0) if bound is None else np.asarray(bound, float)
+    if limit.shape not in ((), shape):
+        raise HybridError(f"bound has shape {limit.shape}, valid is {shape}")
+    limit = np.broadcast_to(limit, shape)
+    pair = draw(x, y, max_samples, rng)
+    if validation is not None:
+        checked = check_pair(*validation, columns=(x.shape[1], y.shape[1]))
+        held_out = draw(*checked, max_samples, rng)
     joint = np.hstack([_standardise(values) for values in pair])
     models: dict[int, GaussianMixtureRegression] = {}
     scores: dict[int, float] = {}
-    for count in _usable(candidates, *joint.shape):
-        mixture = _run_em(joint, count, floor=floor, rng=rng)
-        models[count] = model = _build(kind, mixture, *pair, bound, floor)
-        if held_out is None:
+    for count in _usable(np.atleast_1d(components).tolist(), *joint.shape):
+        mixture = _run_em(joint, count, floor=covariance_floor, rng=rng)
+        models[count] = model = _build(mixture, *pair, limit, covariance_floor)
+        if validation is None:
             scores[count] = -mixture.bic(joint) / (2.0 * len(joint))
         else:
             scores[count] = predictive_log_likelihood(model, *held_out)
@@ -121,7 +149,6 @@ def _run_em(
 
 
 def _build(
-    kind: type[GaussianMixtureRegression],
     mixture: GaussianMixture,
     x: Array,
     y: Array,
@@ -132,7 +159,7 @@ def _build(
     output_offset, output_scale = _offset_and_scale(y)
     offset = np.concatenate([np.zeros_like(input_offset), output_offset])
     scale = np.concatenate([np.ones_like(input_scale), output_scale])
-    model = kind(
+    model = GaussianMixtureRegression(
         weights=mixture.weights_,
         means=offset + scale * mixture.means_,
         covariances=mixture.covariances_ * np.outer(scale, scale),

@@ -1,6 +1,7 @@
 """The library of effects: one file each, whose law is simulated and fitted."""
 
 from hybrid.effects.effect import Effect, Port, Scope
+from hybrid.effects.in_plant import Spec
 from hybrid.effects.instant import Memory, Scalar
 from hybrid.effects.joint_effect import JointEffect, law_of_fields
 from hybrid.effects.quantity import Quantity, Scale
@@ -18,6 +19,7 @@ __all__ = [
     "Scalar",
     "Scale",
     "Scope",
+    "Spec",
     "effect_at",
     "effect_class",
     "effect_classes",

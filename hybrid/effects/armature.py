@@ -1,14 +1,8 @@
 """Inertia of rotor and gear, reflected to the joint."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from hybrid.effects import JointEffect, Port, Quantity, law_of_fields
-
-if TYPE_CHECKING:
-    import mujoco
+from hybrid.effects import JointEffect, Port, Quantity, Spec, law_of_fields
 
 
 class Armature(JointEffect):
@@ -27,6 +21,6 @@ class Armature(JointEffect):
     remedy = "Set the joint's armature to rotor inertia times the gear ratio squared."
     law = law_of_fields(fields)
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Add the rotor inertia to the joint's armature."""
         spec.joint(names[self.joints[0]]).armature += self.values["inertia"]

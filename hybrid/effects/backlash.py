@@ -1,20 +1,14 @@
 """Backlash between motor and link."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
-from hybrid.effects import Body, Effect, Port, Quantity
+from hybrid.arrays import Array, Index
+from hybrid.effects import Body, Effect, Port, Quantity, Spec
 from hybrid.signals import Motion
-
-if TYPE_CHECKING:
-    import mujoco
 
 _CONTACT_TIME = 0.002  # s, of simulated teeth; the least at MuJoCo's usual step
 _USUAL_FLIGHT = 64  # samples
@@ -76,9 +70,8 @@ class Backlash(Effect):
         acceleration = body.load[:, j] / np.maximum(inertia, 1e-9)
         from scipy.ndimage import gaussian_filter1d
 
-        where = _link_position(
-            gaussian_filter1d(acceleration, _IMPACT_WIDTH / step), half, step
-        )
+        smooth = gaussian_filter1d(acceleration, _IMPACT_WIDTH / step)
+        where = _link_position(smooth, half, step)
         wide = np.pad(where, 1, mode="edge")
         out = np.zeros((3, *motion.q.shape))
         out[0, :, j] = where
@@ -86,7 +79,7 @@ class Backlash(Effect):
         out[2, :, j] = (wide[2:] - 2 * where + wide[:-2]) / step**2
         return tuple(out)
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Add a free joint between stops after the motor joint, on the same axis."""
         half = self.values["half_width"]
         if half <= 0:
@@ -99,7 +92,7 @@ class Backlash(Effect):
         play.solimp_limit[:3] = 0.99, 0.999, _SOFT_SHARE * half
 
 
-def set_play(model: Any, joints: NDArray[np.intp], half: Array, rotor: Array) -> None:
+def set_play(model: Any, joints: Index, half: Array, rotor: Array) -> None:
     """Set other gaps in a compiled model of :meth:`Backlash.edit_spec`.
 
     Half of each gap [rad] and the inertia of each rotor [kg·m²] have the shape (K,), as

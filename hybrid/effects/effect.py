@@ -138,13 +138,7 @@ class Effect(InPlant, Instant, ABC):
     def typical(
         cls, joints: Sequence[int], scales: Sequence[Scale], **values: float
     ) -> Self:
-        """The effect at its usual size; ``values`` override single parameters.
-
-        Args:
-            joints: Joints of the effect.
-            scales: Size of every joint of the arm.
-            values: Parameters in SI units.
-        """
+        """The effect at its usual size; ``values``, in SI units, override some."""
         scale = scales[joints[-1]]
         usual = {x.name: x.scaled(scale).typical for x in (*cls.gains, *cls.shapes)}
         return cls(tuple(joints), usual | values)
@@ -194,15 +188,7 @@ class Effect(InPlant, Instant, ABC):
         return getattr(nominal, fields[0], None) if len(fields) == 1 else None
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
-        """The prior of its gains.
-
-        Args:
-            nominal: Parameters of the robot file.
-            scale: Size of its joint.
-
-        Returns:
-            Standard deviation and smallest value of each gain, shape (p,) each.
-        """
+        """Prior standard deviation and smallest value of each gain, (p,) each."""
         std = np.array([g.scaled(scale).deviation for g in self.gains])
         known = self.declared(nominal)
         if known is None:
@@ -210,11 +196,7 @@ class Effect(InPlant, Instant, ABC):
         return std, -known[list(self.joints)]  # the file's value may be too large
 
     def at_limit(self, scale: Scale) -> tuple[Self, str] | None:
-        """The effect where it equals a simpler law, see :attr:`becomes`, and its id.
-
-        Args:
-            scale: Size of its joint.
-        """
+        """The effect where it equals a simpler law, see :attr:`becomes`, and its id."""
         if self.becomes is None:
             return None
         name, end, law = self.becomes
@@ -230,14 +212,9 @@ class Effect(InPlant, Instant, ABC):
 
     @abstractmethod
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Torque per unit of each gain, at the joints of :meth:`reaches`.
+        """Torque per unit of each gain, [N·m per unit], shape (N, r, p).
 
-        Args:
-            motion: Motion of N samples of the whole arm.
-            body: Rigid-body quantities along it.
-
-        Returns:
-            Columns, shape (N, r, p), in [N·m per unit of the gain].
+        It is that at the r joints of :meth:`reaches`, along a motion of the whole arm.
         """
 
     def torque(self, motion: Motion, body: Body) -> Array:
@@ -248,16 +225,10 @@ class Effect(InPlant, Instant, ABC):
 
     @classmethod
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
-        """Start values of the shapes from the motions, in addition to a grid.
+        """Start values of all shapes at joint j by name, in addition to a grid, or {}.
 
-        For laws that fit only near their own shapes.
-
-        Args:
-            motions: Motions with the delivered and the commanded torque, [N·m].
-            j: Index of the joint.
-
-        Returns:
-            Value of every shape in its unit, by name; empty by default.
+        For laws that fit only near their own shapes. The motions have the delivered
+        and the commanded torque.
         """
         return {}
 
@@ -283,11 +254,7 @@ class Effect(InPlant, Instant, ABC):
         return motion
 
     def frequency(self, body: Body) -> float:
-        """Mean natural frequency along a motion, [Hz]; 0 if it does not oscillate.
-
-        Args:
-            body: Rigid-body quantities along the motion.
-        """
+        """Mean natural frequency along a motion, [Hz]; 0 if it does not oscillate."""
         return 0.0
 
     @property
@@ -306,15 +273,11 @@ class Effect(InPlant, Instant, ABC):
         return type(self).report is not Effect.report
 
     def report(self, t: Array, torque: Array) -> Array:
-        """Logged torque for delivered torque at the effect's joints.
+        """Logged torque for delivered torque at the effect's joints, (N, any number).
 
         It is linear in the torque, and is used in plant, prediction and fit. The gain
         of such an effect is found by successive linearisation: its columns are the
         derivative by a further change.
-
-        Args:
-            t: Time, shape (N,), [s].
-            torque: True signals, shape (N, any number), [N·m].
         """
         return torque
 

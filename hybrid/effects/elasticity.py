@@ -1,21 +1,14 @@
 """Elasticity between motor and link."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from hybrid.arrays import Array
-from hybrid.effects import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity, Spec
 from hybrid.signals import Motion
-
-if TYPE_CHECKING:
-    import mujoco
-
 
 _PHASE_STEP = 0.15  # rad of an oscillation in one integration step
 _MOST_SUBSTEPS = 8  # in a sample
@@ -112,7 +105,7 @@ class Elasticity(Effect):
         out[:, :, j] = np.stack([d, speed, acceleration])[:, ::count] / compliance
         return tuple(out)
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Add a deflection joint after the motor joint, on the same axis."""
         if self.values["compliance"] <= 0:
             return

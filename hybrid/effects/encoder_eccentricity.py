@@ -27,17 +27,12 @@ class EncoderEccentricity(Effect):
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """First order; see :meth:`Effect.columns`; shape (N, n, 2)."""
-        q, v, a = (x[:, self.joints] for x in (motion.q, motion.v, motion.a))
-        sine, cosine = np.sin(q), np.cos(q)
-        errors = (
-            (sine, cosine * v, cosine * a - sine * v**2),
-            (cosine, -sine * v, -sine * a - cosine * v**2),
-        )
-        columns = []
-        for error in errors:
-            change = [np.zeros_like(motion.q) for _ in error]
-            for signal, part in zip(change, error, strict=True):
-                signal[:, self.joints] = -part
+        j, columns = list(self.joints), []
+        q, v, a = motion.q[:, j], motion.v[:, j], motion.a[:, j]
+        for unit in ({"sine": 1.0, "cosine": 0.0}, {"sine": 0.0, "cosine": 1.0}):
+            error, slope, curvature = self.at(unit)._error(q)
+            change = np.zeros((3, *motion.q.shape))
+            change[:, :, j] = -error, -slope * v, -slope * a - curvature * v**2
             columns.append(body.response(*change))
         return np.stack(columns, axis=-1)
 

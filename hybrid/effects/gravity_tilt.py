@@ -1,18 +1,12 @@
 """Tilt of the base against gravity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects import Body, Effect, Port, Quantity
+from hybrid.effects import Body, Effect, Port, Quantity, Spec
 from hybrid.signals import Motion
-
-if TYPE_CHECKING:
-    import mujoco
 
 
 class GravityTilt(Effect):
@@ -44,16 +38,12 @@ class GravityTilt(Effect):
         turned = np.cross(gravity, level_axes(gravity))
         return np.zeros((size, 10)), self.gain_values @ turned
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Rotate the spec's gravity by the angle, exactly."""
         spec.option.gravity = self.turned(np.array(spec.option.gravity))
 
     def turned(self, gravity: Array) -> Array:
-        """Gravity in the frame of the tilted base, shape (3,), [m/s²].
-
-        Args:
-            gravity: Gravity in the frame of the level one.
-        """
+        """Gravity in the frame of the tilted base, from that of the level one, (3,)."""
         from scipy.spatial.transform import Rotation
 
         tilt = Rotation.from_rotvec(self.gain_values @ level_axes(gravity))
@@ -61,11 +51,7 @@ class GravityTilt(Effect):
 
 
 def level_axes(gravity: Array) -> Array:
-    """Two horizontal unit vectors close to the base's own axes, shape (2, 3).
-
-    Args:
-        gravity: Acceleration of gravity in the base frame, shape (3,), [m/s²].
-    """
+    """Two horizontal unit vectors close to the base's own axes, shape (2, 3)."""
     size = np.linalg.norm(gravity)
     down = gravity / size if size > 0 else np.array([0.0, 0.0, -1.0])
     first, _ = np.delete(np.eye(3), np.argmax(np.abs(down)), axis=0)

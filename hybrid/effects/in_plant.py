@@ -1,9 +1,7 @@
 """Hooks with which a plant simulates an effect, from command to sensor."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -13,6 +11,10 @@ from hybrid.errors import EffectError
 
 if TYPE_CHECKING:
     import mujoco
+
+    Spec: TypeAlias = mujoco.MjSpec
+else:
+    Spec = Any  # MuJoCo is slow to load
 
 
 class InPlant:
@@ -26,16 +28,14 @@ class InPlant:
     # Name of the joint that it adds between motor and link, if it does.
     behind: ClassVar[str] = ""
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
-        """Add to a MuJoCo spec what MuJoCo itself can simulate.
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
+        """Add to a MuJoCo spec of the arm what MuJoCo itself can simulate.
 
-        Args:
-            spec: Spec of the arm; joint and body of link k share the name ``names[k]``.
-            names: Joint names of the arm, base to tip.
+        Joint and body of link k, base to tip, share the name ``names[k]``.
         """
         return  # by default nothing
 
-    def added_joint(self, spec: mujoco.MjSpec, name: str) -> mujoco.MjsJoint:
+    def added_joint(self, spec: Spec, name: str) -> Any:
         """A new joint after a motor joint, on the same axis, called ``behind``.
 
         Raises:
@@ -55,12 +55,9 @@ class InPlant:
         return torque
 
     def resist(self, state: JointState, before: Array, step: float) -> Array:
-        """Resisting torque with memory, shape (B, k), [N·m].
+        """Resisting torque with memory at a state of the motors, shape (B, k), [N·m].
 
-        Args:
-            state: State of the motors, arrays of shape (B, k).
-            before: This torque one step ago, 0 at the start, shape (B, k), [N·m].
-            step: Length of the step, [s].
+        It was ``before`` one step ago, [s], and is 0 at the start.
         """
         return np.zeros_like(before)
 

@@ -58,12 +58,8 @@ class Instant:
     def rigid_change(self, size: int, gravity: Array) -> tuple[Array, Array] | None:
         """Change of the rigid body with the same torque as the effect, or None.
 
-        Args:
-            size: Number of joints n of the arm.
-            gravity: Acceleration of gravity in the base frame, shape (3,), [m/s²].
-
-        Returns:
-            Change of link parameters, shape (n, 10), and of gravity, shape (3,).
+        It is that of link parameters, shape (n, 10), and of gravity, shape (3,), of an
+        arm of size n; gravity is an acceleration in the base frame, [m/s²].
         """
         return None
 
@@ -82,12 +78,8 @@ class Instant:
     ) -> tuple[Sequence[Scalar], Memory]:
         """Torque at the effect's joints, [N·m], and the new memory.
 
-        The default is zero for an effect that only changes the commanded torque.
-
-        Args:
-            joints: State of each of the effect's joints.
-            memory: Memory of the last instant.
-            step: Time since the last instant, [s].
+        The last instant, whose memory is given, was a step before, [s]. The default is
+        zero for an effect that only changes the commanded torque.
         """
         if self.asks:
             return [0.0] * len(joints), memory

@@ -1,19 +1,14 @@
 """Inertial parameters of a payload, or of a link, that the simulator does not have."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects import Body, Effect, Nominal, Port, Quantity, Scale, Scope
+from hybrid.effects import Body, Effect, Nominal, Port, Quantity, Scale, Scope, Spec
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
-
-if TYPE_CHECKING:
-    import mujoco
 
 _LINK_STD = 0.15  # relative standard deviation of the parameters of a link
 # Standard deviation of payload parameters over the median mass of the links: 1, m, m².
@@ -69,7 +64,7 @@ class Payload(Effect):
         change[self.joints[-1]] = self.gain_values
         return change, np.zeros(3)
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Weld a body with these parameters to the link.
 
         Raises:

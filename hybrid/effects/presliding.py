@@ -59,15 +59,9 @@ class Presliding(Effect):
 
 
 def dahl(q: Array, speed: float, distance: float) -> Array:
-    """Dahl's state along a path, exact between samples.
+    """Dahl's state, between −1 and 1, along a path q, exact between samples, (N,).
 
-    Args:
-        q: Position, shape (N,), [rad].
-        speed: Speed at the first sample and for a short time before, [rad/s].
-        distance: Build-up distance δ, [rad].
-
-    Returns:
-        State h between −1 and 1, shape (N,).
+    The speed is that at the first sample and for a short time before, [rad/s].
     """
     path = np.diff(q, prepend=q[0] - speed * _BEFORE)
     decay = np.exp(-np.abs(path) / distance)

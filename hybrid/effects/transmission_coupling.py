@@ -1,19 +1,22 @@
 """Coupling of two joints by a common rotor."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.effects import Body, Effect, JointState, Memory, Port, Quantity, Scalar
+from hybrid.effects import (
+    Body,
+    Effect,
+    JointState,
+    Memory,
+    Port,
+    Quantity,
+    Scalar,
+    Spec,
+)
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
-
-if TYPE_CHECKING:
-    import mujoco
 
 
 class TransmissionCoupling(Effect):
@@ -59,7 +62,7 @@ class TransmissionCoupling(Effect):
         torque = inertia * a + viscous * v + coulomb * np.sign(v)
         return [torque, torque], ()
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Add a tendon whose length is the sum of both joints.
 
         Negative values of a fit become 0, because MuJoCo refuses them.

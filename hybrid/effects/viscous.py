@@ -1,14 +1,8 @@
 """Friction proportional to speed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from hybrid.effects import JointEffect, Port, Quantity, law_of_fields
-
-if TYPE_CHECKING:
-    import mujoco
+from hybrid.effects import JointEffect, Port, Quantity, Spec, law_of_fields
 
 
 class Viscous(JointEffect):
@@ -25,6 +19,6 @@ class Viscous(JointEffect):
     remedy = "Set the joint's damping to the fitted coefficient."
     law = law_of_fields(fields)
 
-    def edit_spec(self, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Add it to the joint's damping, which is stable for a light link."""
         spec.joint(names[self.joints[0]]).damping[0] += self.values["coefficient"]

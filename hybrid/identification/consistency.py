@@ -55,7 +55,7 @@ class Consistent:
 def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
     """The physically consistent links and gains that fit the data best.
 
-    Minimises ½ θᵀAθ − bᵀθ for the unknowns θ of the links and gains, while every
+    Minimises ½ θᵀAθ − bᵀθ for the p unknowns θ of the links and gains, while every
     pseudo-inertia stays above a small share of the nominal one, that of the chain, and
     every gain above ``problem.lower``. A nominal link that is not consistent is
     replaced by a body of its size. Directions that the data do not determine stay at
@@ -65,11 +65,6 @@ def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
 
     Gains that were dropped from the unknowns are 0; the links include them (the
     inertia of the first rotor is in Izz of the first link).
-
-    Args:
-        problem: The unknowns.
-        A: Normal matrix, shape (p, p).
-        b: Right side, shape (p,).
 
     Raises:
         IdentificationError: The normal equations are zero or not finite, or the solver

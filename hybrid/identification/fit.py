@@ -105,12 +105,7 @@ def unidentifiable(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
 
 
 def poor_excitation(problem: Problem, A: Array) -> str | None:
-    """A sentence that names parameters which the motion hardly excites, or None.
-
-    Args:
-        problem: The unknowns.
-        A: Normal matrix, shape (p, p).
-    """
+    """A sentence that names parameters which the motion hardly excites, or None."""
     condition = condition_number(A)
     if condition <= GOOD_CONDITION:
         return None

@@ -73,16 +73,10 @@ def _columns(v: Array, fastest: float) -> Array:
 def fit_friction(
     data: Data, joint: int, rest: Sequence[Array], load: Sequence[Array]
 ) -> tuple[Effect, ...]:
-    """Fit the friction of one joint.
+    """Threshold friction of one joint, and load friction if it lowers the error.
 
-    Args:
-        data: Motions with folds.
-        joint: The joint.
-        rest: Torque less all terms but friction, shape (N,) for each motion, [N·m].
-        load: Torque transmitted to the link, shape (N,) for each motion, [N·m].
-
-    Returns:
-        Threshold friction, and load friction if it lowers the held-out error.
+    It is fitted to ``rest``, the torque less all terms but friction. Rest and load, the
+    torque transmitted to the link, have the shape (N,) for each motion, [N·m].
     """
     products = _maps()[:, None] @ _products(data, joint, rest, load)
     products = products @ _maps().transpose(0, 2, 1)[:, None]

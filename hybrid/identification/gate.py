@@ -23,10 +23,8 @@ _CHANCE = 0.025  # probability that noise alone passes
 def lowers(before: Array, after: Array, *, tried: int = 1) -> NDArray[np.bool_]:
     """Whether the held-out squares of each joint fall significantly, shape (n,).
 
-    Args:
-        before: Squares of each block without the term, shape (B, n), [N²·m²].
-        after: The same with the term, which is the best of those ``tried``.
-        tried: Their number.
+    They are those of each block without a term and with it, shape (B, n), [N²·m²]; it
+    is the best of as many as were ``tried``.
     """
     gain = before - after
     error = np.sqrt(((gain - gain.mean(axis=0)) ** 2).sum(axis=0))
@@ -47,7 +45,7 @@ def with_accepted(
 
     Args:
         start: The solution without new terms.
-        options: New terms of each joint, those to try first in front.
+        options: New terms, those to try first in front.
         fitted: Function from new terms to the solution with them.
         tried: Number of terms of which each is the best.
     """

@@ -5,14 +5,13 @@ remainder, and physically consistent links. A new term of a joint is accepted on
 lowers the held-out error of the predicted torque; see ``gate.py``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.compensator.arm_remainder import ArmRemainder
 from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import Effect
 from hybrid.effects.coulomb import Coulomb
@@ -25,8 +24,8 @@ from hybrid.errors import IdentificationError
 from hybrid.identification.consistency import physically_consistent
 from hybrid.identification.fit import Fit, poor_excitation, unidentifiable
 from hybrid.identification.friction import fit_friction
-from hybrid.identification.gate import with_accepted
-from hybrid.identification.remainder import Learned, fit_remainder
+from hybrid.identification.gate import Terms, with_accepted
+from hybrid.identification.remainder import fit_remainder
 from hybrid.identification.ripple import JUDGED, find_ripples, in_band
 from hybrid.identification.solution import Solution
 from hybrid.identification.solver import Solver
@@ -51,7 +50,7 @@ _COSTLY = 0.01  # relative rise of the held-out error that gives a warning
 
 
 class Identification:
-    """The best terms found so far and their held-out error."""
+    """The best terms found so far."""
 
     def __init__(
         self,
@@ -65,131 +64,111 @@ class Identification:
         self.robot, self.data, self.estimator = robot, data, estimator
         self.extra, self.seed = extra, seed
         self.solver = Solver(robot, data, estimator, robust)
-        self.simpler: dict[Estimator, Solution] = {}
-        self.stages: dict[str, DynamicModel] = {}
-        self.remainder: ArmRemainder | None = None
+        self.simpler: dict[str, DynamicModel] = {}
         self.left_out: list[str] = []
         self.warnings: list[str] = []
         self.rounds, self.settled = 1, True
 
     best: Solution
-    squares: Array
     condition: float
 
     def rigid_stage(self, products: CrossProducts) -> dict[str, Array]:
         """Fit the rigid body with linear friction, whose cross-products are given.
 
-        Returns:
-            Held-out RMS of each joint by estimator, and of the best one with the
-            prior, shape (n,) each, [N·m].
+        Returns the held-out RMS of each joint by estimator, and of the best one with
+        the prior, shape (n,) each, [N·m].
         """
         if any(e.changes_signals for e in self.extra):
             products, self.settled = self.solver.linearised(products)
-        self.simpler = self.solver.plain(products)
-        self._adopt(self.solver.best(products))
-        self._record_stage(self.best)
-        last = self.simpler[self.estimator]
-        A, _ = products.normal(last.weighted.weight)
+        plain = self.solver.plain(products)
+        A, _ = products.normal(plain[self.estimator].weighted.weight)
         self.condition = condition_number(A)
         poor = poor_excitation(products.problem, A)
         if poor:
             self.warnings.append(poor)
-        found = {x.upper(): s.squares for x, s in self.simpler.items()}
-        found["rigid"] = self.squares
-        return {name: self.solver.rms(squares) for name, squares in found.items()}
+        found = {name.upper(): solution for name, solution in plain.items()}
+        self.simpler = {name: self._model(x) for name, x in found.items()}
+        self.best = found["rigid"] = self.solver.best(products)
+        self._record_stage(self.best)
+        return {name: self.solver.rms(x.squares) for name, x in found.items()}
 
     @property
     def error(self) -> Array:
         """Held-out RMS of each joint, shape (n,), [N·m]."""
-        return self.solver.rms(self.squares)
+        return self.solver.rms(self.best.squares)
 
     def friction_stage(self) -> None:
         """Fit nonlinear friction, then all terms again, until the error settles."""
-        before = self.best
-        for _ in range(_MOST_ROUNDS):
-            candidates = self._friction_candidates(self.best)
-            found = self._accepted(self.best, [candidates])
-            gain = self.solver.cost(self.best.squares) - self.solver.cost(found.squares)
-            self._adopt(found)
-            if gain <= _TOLERANCE:
-                break
-        if self.best is before:
+        if not self._extend(self._friction_candidates, tolerance=_TOLERANCE):
             self._leave_out("friction: the threshold law does not lower the error")
 
     def ripple_stage(self) -> None:
         """Fit torque ripple, which repeats with position."""
         before = self.best
-        for _ in range(_MOST_ROUNDS):
-            new = find_ripples(self.best)
-            # At all speeds of the log, or only at speeds whose ripple is below the
-            # cut-off.
-            limit = partial(in_band, cutoff=self.data.cutoff)
-            slow = {j: y for j, x in new.items() if (y := [*map(limit, x)]) != x}
-            options = [
-                {j: [*self._replaceable(self.best, j), *x] for j, x in ripples.items()}
-                for ripples in (new, slow)
-            ]
-            found = self._accepted(self.best, options, tried=JUDGED)
-            if found is self.best:
-                break
-            self._adopt(found)
-        if self.best is not before:
+        if self._extend(self._ripple_candidates, tried=JUDGED):
             self._record_stage(before)
 
     def remainder_stage(self) -> None:
         """Learn the remainder, and fit the physical terms again, until it settles."""
         physical = self.best
         for self.rounds in range(1, _MOST_ROUNDS + 1):
-            learned = self._learned(physical)
-            if not learned.remainder.parts:
+            found, cross = self._with_remainder(physical)
+            if found.remainder is None:
                 break
-            gain = self.solver.cost(self.squares) - self.solver.cost(learned.squares)
+            gain = self._gain(found)
             if gain > 0:
-                self.best, self.squares = physical, learned.squares
-                self.remainder = learned.remainder
+                self.best = found
             if gain <= _TOLERANCE:
                 break
-            physical = self.solver.with_effects(
-                physical, physical.effects, learned.cross
-            )
+            physical = self.solver.with_effects(physical, physical.effects, cross)
         else:
             self.settled = False
-        if self.remainder is None:
+        if self.best.remainder is None:
             self._leave_out("remainder: no regression lowers the error")
         else:
-            self._record_stage(self.best)
+            self._record_stage(replace(self.best, remainder=None))
 
-    def _learned(self, physical: Solution) -> Learned:
+    def _with_remainder(self, physical: Solution) -> tuple[Solution, list[Array]]:
+        """Physical terms with a learned remainder, and its cross-validated torque."""
         residual = self.data.held_out_residual(physical.problem, physical.theta)
-        bound = MOST_LEARNED * self.robot.tau_max
-        return fit_remainder(
-            self.data, residual, among=self.remainder, bound=bound, seed=self.seed
+        remainder, cross = fit_remainder(
+            self.data,
+            residual,
+            among=self.best.remainder,
+            bound=MOST_LEARNED * self.robot.tau_max,
+            seed=self.seed,
         )
+        left = [x - y for x, y in zip(residual, cross, strict=True)]
+        found = replace(
+            physical,
+            remainder=remainder if remainder.parts else None,
+            corrected=self.data.squares(left),
+        )
+        return found, cross
 
     def consistent_stage(self) -> None:
         """Make the links physically consistent, and learn the remainder again."""
-        free, before = self.best, self.squares
-        self._record_stage(free, self.remainder)
-        problem, weighted = free.problem, free.weighted
-        products = free.products.shared(weighted.share)
+        before = self.best
+        self._record_stage(before)
+        problem, weighted = before.problem, before.weighted
+        products = before.products.shared(weighted.share)
         found = physically_consistent(problem, *products.normal(weighted.weight))
         each = zip(*products.without_folds(weighted.weight), strict=True)
         theta = np.array([physically_consistent(problem, A, b).theta for A, b in each])
         self.settled &= found.converged
-        self._adopt(
-            replace(
-                free,
-                weighted=replace(weighted, theta=found.theta),
-                theta=theta,
-                inertial=found.inertial,
-            )
+        after = replace(
+            before,
+            weighted=replace(weighted, theta=found.theta),
+            theta=theta,
+            inertial=found.inertial,
+            corrected=None,
         )
-        if self.remainder is not None:
-            learned = self._learned(self.best)
-            self.remainder = learned.remainder if learned.remainder.parts else None
-            self.squares = learned.squares
-        after = self.solver.cost(self.squares, harm=0.0)
-        cost = np.exp(after - self.solver.cost(before, harm=0.0)) - 1.0
+        if before.remainder is not None:
+            after, _ = self._with_remainder(after)
+        self.best = after
+        change = self.solver.cost(after.squares, harm=0.0)
+        change -= self.solver.cost(before.squares, harm=0.0)
+        cost = np.exp(change) - 1.0
         if cost > _COSTLY:
             self.warnings.append(
                 f"physically consistent links raise the held-out error by {cost:.1%}; "
@@ -197,25 +176,19 @@ class Identification:
             )
 
     def fit(self, held_out: dict[str, Array]) -> Fit:
-        """The accepted terms with their uncertainty.
-
-        Args:
-            held_out: RMS of each joint by stage, shape (n,) each, [N·m].
+        """The accepted terms with their uncertainty, and the RMS by stage.
 
         Raises:
             IdentificationError: The robot file predicts the torque better.
         """
         self._check_against_file()
         problem, estimate = self.best.problem, self.best.estimate
-        model = self.best.model(self.robot, self.remainder)
-        simpler = {name.upper(): self._model(s) for name, s in self.simpler.items()}
+        model = self.best.model(self.robot)
         converged = estimate.converged and self.settled
         if not converged:
             self.warnings.append("the iteration did not settle; see Fit.converged")
         return Fit(
-            model=replace(
-                model, simpler=simpler | self.stages, covariance=estimate.covariance
-            ),
+            model=replace(model, simpler=self.simpler, covariance=estimate.covariance),
             names=problem.base.names,
             labels=problem.base.kept_labels,
             units=tuple(problem.base.units[k] for k in problem.base.kept),
@@ -232,7 +205,7 @@ class Identification:
     def _check_against_file(self) -> None:
         """Refuse a model worse than the file; warn where plain LS is better."""
         file = self.data.squares([self._file_residual(m) for m in self.data.motions])
-        total = self.solver.total(self.squares)
+        total = self.solver.total(self.best.squares)
         ratio = np.sqrt(total / np.maximum(self.solver.total(file), 1e-300))
         if np.log(np.maximum(ratio, 1e-300)).mean() > _WORSE:
             own = ", ".join(dict.fromkeys(e.id for e in self.extra))
@@ -253,7 +226,7 @@ class Identification:
         body = RigidBody(self.robot.chain, motion)
         return motion.tau - simulated_torque(self.robot, motion, body)
 
-    def _friction_candidates(self, start: Solution) -> dict[int, list[Effect]]:
+    def _friction_candidates(self, start: Solution) -> list[Terms]:
         """The effects at each joint, with nonlinear friction fitted to the residual."""
         data, model = self.data, self._model(start)
         others = [e for e in start.effects if not self._is_friction(e)]
@@ -267,64 +240,80 @@ class Identification:
             )
             kept = [e for e in self._replaceable(start, j) if not self._is_friction(e)]
             candidates[j] = [*kept, *friction]
-        return candidates
+        return [candidates]
+
+    def _ripple_candidates(self, start: Solution) -> list[Terms]:
+        """The effects at each joint, with ripples that lower its error.
+
+        They act at all speeds of the log, or only at speeds whose ripple is below the
+        cut-off.
+        """
+        new = find_ripples(start)
+        limit = partial(in_band, cutoff=self.data.cutoff)
+        slow = {j: y for j, x in new.items() if (y := [*map(limit, x)]) != x}
+        return [
+            {j: [*self._replaceable(start, j), *x] for j, x in ripples.items()}
+            for ripples in (new, slow)
+        ]
 
     def _replaceable(self, solution: Solution, joint: int) -> list[Effect]:
         """Effects of one joint that are not the user's."""
-        return [
-            e
-            for e in solution.effects
-            if e.joints == (joint,) and not _is_among(e, self.extra)
-        ]
+        own = [e for e in solution.effects if e.joints == (joint,)]
+        return [e for e in own if not self._is_given(e)]
 
-    def _accepted(
+    def _extend(
         self,
-        start: Solution,
-        options: Sequence[Mapping[int, list[Effect]]],
+        candidates: Callable[[Solution], list[Terms]],
         *,
+        tolerance: float = 0.0,
         tried: int = 1,
-    ) -> Solution:
-        """The start with the terms that pass the gate, unless it is better without."""
+    ) -> bool:
+        """Add terms that pass the gate, until the cost falls by a tolerance or less.
 
-        def fitted(at: Mapping[int, list[Effect]]) -> Solution:
-            effects = self._with_candidates(start, at)
-            return self.solver.with_effects(start, effects)
+        Returns whether any were added.
+        """
+        before = self.best
+        for _ in range(_MOST_ROUNDS):
+            options, fitted = candidates(self.best), partial(self._fitted, self.best)
+            found = with_accepted(self.best, options, fitted, tried=tried)
+            gain = self._gain(found)
+            if gain > 0:
+                self.best = found
+            if gain <= tolerance:
+                break
+        return self.best is not before
 
-        found = with_accepted(start, options, fitted, tried=tried)
-        return self.solver.least([start, found])
+    def _fitted(self, start: Solution, terms: Terms) -> Solution:
+        """The solution with other effects at some joints."""
+        old = {(j,) for j in terms}
+        kept = [e for e in start.effects if e.joints not in old or self._is_given(e)]
+        new = [e for effects in terms.values() for e in effects]
+        return self.solver.with_effects(start, [*kept, *new])
 
-    def _with_candidates(
-        self, start: Solution, at: Mapping[int, list[Effect]]
-    ) -> list[Effect]:
-        old = [e for j in at for e in self._replaceable(start, j)]
-        kept = [e for e in start.effects if not any(e is x for x in old)]
-        return [*kept, *(e for effects in at.values() for e in effects)]
+    def _gain(self, solution: Solution) -> float:
+        """The cost of the best solution less that of another."""
+        cost = self.solver.cost
+        return cost(self.best.squares) - cost(solution.squares)
 
-    def _model(
-        self, solution: Solution, remainder: ArmRemainder | None = None
-    ) -> DynamicModel:
+    def _model(self, solution: Solution) -> DynamicModel:
         """A model to compare with, without standard deviations."""
-        return solution.model(self.robot, remainder, sure=False)
+        return solution.model(self.robot, sure=False)
 
     def _is_friction(self, effect: Effect) -> bool:
         """Whether the friction stage may replace an effect; the user's ones stay."""
-        return isinstance(effect, _FRICTION) and not _is_among(effect, self.extra)
+        return isinstance(effect, _FRICTION) and not self._is_given(effect)
 
-    def _adopt(self, solution: Solution) -> None:
-        self.best, self.squares = solution, solution.squares
+    def _is_given(self, effect: Effect) -> bool:
+        """Whether the user gave an effect of the same class at the same joints."""
+        return any(
+            type(effect) is type(e) and effect.joints == e.joints for e in self.extra
+        )
 
-    def _record_stage(
-        self, solution: Solution, remainder: ArmRemainder | None = None
-    ) -> None:
+    def _record_stage(self, solution: Solution) -> None:
         """Keep the model of a finished stage for comparison."""
-        model = self._model(solution, remainder)
-        self.stages[model.stage] = model
+        model = self._model(solution)
+        self.simpler[model.stage] = model
 
     def _leave_out(self, text: str) -> None:
         self.left_out.append(text)
         self.warnings.append(f"left out {text} on held-out samples")
-
-
-def _is_among(effect: Effect, others: Sequence[Effect]) -> bool:
-    """Whether the others have an effect of the same class at the same joints."""
-    return any(type(effect) is type(e) and effect.joints == e.joints for e in others)

@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.identification.solution import Solution
 from hybrid.regression.least_squares import pseudo_solve
 
@@ -35,18 +34,15 @@ class PartialRegression:
     """
 
     others: tuple[Array, Array]
-    support: NDArray[np.intp]
+    support: Index
     columns: Array
     residual: Array
 
     @classmethod
     def of(cls, solution: Solution, joint: int, rows: Array) -> PartialRegression:
-        """The regression about the values of a solution.
+        """The regression of a joint about the values of a solution.
 
-        Args:
-            solution: The present terms of all joints.
-            joint: The joint that a new column acts on.
-            rows: Its columns, then the residual of the solution, shape (d + 1, M).
+        Rows are its columns, then the residual of the solution, shape (d + 1, M).
         """
         products, theta = solution.products, solution.weighted.theta
         variance = np.diag(solution.sigma)
@@ -62,27 +58,19 @@ class PartialRegression:
         size = A.shape[1]
         return replace(
             self,
-            others=(
-                np.pad(A, ((0, 0), (0, 2), (0, 2))),
-                np.pad(b, ((0, 0), (0, 2))),
-            ),
+            others=(np.pad(A, ((0, 0), (0, 2), (0, 2))), np.pad(b, ((0, 0), (0, 2)))),
             support=np.append(self.support, [size, size + 1]),
             columns=np.concatenate([self.columns, wave]),
             residual=self.residual - self._fitted(wave)[0] @ wave,
         )
 
     def cross_validated(
-        self, waves: Sequence[Array], fold: NDArray[np.intp]
+        self, waves: Sequence[Array], fold: Index
     ) -> tuple[Array, Array]:
-        """Squared residuals on each fold by a fit on the other folds.
+        """Squared residuals on each fold of the samples by a fit on the other folds.
 
-        Args:
-            waves: K pairs of columns, shape (2, M) each.
-            fold: Fold of each sample, shape (M,).
-
-        Returns:
-            Squares without a new pair, shape (F,), and with each, shape (K, F),
-            [N²·m²].
+        They are those without a new pair of columns, shape (F,), and with each of K
+        pairs, shape (K, F), [N²·m²].
         """
         folds, d = len(self.others[0]), len(self.columns)
         every = np.concatenate([self.columns, *waves, self.residual[None]])
@@ -100,15 +88,10 @@ class PartialRegression:
                 squares[i, k] = c @ own[rows] @ c
         return squares[0], squares[1:]
 
-    def is_significant(
-        self, wave: Array, block: NDArray[np.intp], chance: float
-    ) -> bool:
+    def is_significant(self, wave: Array, block: Index, chance: float) -> bool:
         """F-test: whether the gains of a pair of columns differ from zero.
 
-        Args:
-            wave: Pair of columns, shape (2, M).
-            block: Block of each sample, shape (M,); noise may be correlated within one.
-            chance: Probability that noise alone passes.
+        Noise, which may be correlated within a block of samples, passes by ``chance``.
         """
         gains, inverse, slopes, rest = self._fitted(wave)
         if _ridge(wave @ wave.T) * np.linalg.norm(inverse, 2) > 0.5:
@@ -137,9 +120,7 @@ class PartialRegression:
         residual = rows[-1] - theta @ rows[:-1]
         return theta[-2:], np.array(inverse)[:, -2:], slopes, residual
 
-    def _normal(
-        self, sums: Array, A: Array, b: Array
-    ) -> tuple[Array, Array, NDArray[np.intp]]:
+    def _normal(self, sums: Array, A: Array, b: Array) -> tuple[Array, Array, Index]:
         """Normal matrix and right side of all joints, and where this joint is in them.
 
         The sums are those of its columns, a new pair or none, and its residual; A and b

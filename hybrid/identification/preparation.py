@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arguments import typed
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects import Effect
 from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
@@ -82,12 +81,9 @@ def motions_from_logs(
 ) -> tuple[list[Motion], float]:
     """Filter and differentiate checked logs; motions made from logs are not changed.
 
-    Args:
-        logs: Checked logs, see :func:`checked_logs`, or motions.
-        cutoff: Cut-off of columns and torque, [Hz]; from the spectrum by default.
-
     Returns:
-        Motions at full rate, and the cut-off.
+        Motions at full rate, and the cut-off of columns and torque, [Hz], which is that
+        of the spectrum by default.
 
     Raises:
         IdentificationError: The cut-off is too low for the shortest log.
@@ -140,11 +136,16 @@ def prepare(
     motions = [decimated_motion(m, highest or cutoff) for m in motions if m.mask.any()]
     if not motions:
         raise IdentificationError("no usable sample: every one is masked")
-    standing = np.maximum(STANDING * fastest(motions), SLOWEST)
+    standing = standing_speed(motions)
     return Data(tuple(motions), tuple(_folds(motions, standing)), cutoff, standing)
 
 
-def _folds(motions: Sequence[Motion], standing: Array) -> list[NDArray[np.intp]]:
+def standing_speed(motions: Sequence[Motion]) -> Array:
+    """Speed of each joint below which it stands, shape (n,), [rad/s]."""
+    return np.maximum(STANDING * fastest(motions), SLOWEST)
+
+
+def _folds(motions: Sequence[Motion], standing: Array) -> list[Index]:
     found = []
     for r, motion in enumerate(motions):
         if len(motions) >= _FOLDS:
@@ -200,11 +201,7 @@ def products_at_best_cutoff(
     halved while that lowers the held-out error of weighted least squares by more than
     the friction which it hides may be worth.
 
-    Args:
-        logs: Checked logs, see :func:`checked_logs`, or motions made from them.
-        problem: The linear model.
-        cutoff: The cut-off, if it is not to be chosen, [Hz].
-        robust: Whether outlying blocks count less.
+    The logs are those of :func:`checked_logs`. A cut-off that is given, [Hz], is used.
 
     Raises:
         IdentificationError: Every sample is masked, or the cut-off is too low.

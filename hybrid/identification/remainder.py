@@ -1,13 +1,12 @@
 """Learn the remainder of each joint's torque, where that lowers the held-out error."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.identification.gate import lowers
@@ -23,22 +22,6 @@ _MOST_SAMPLES = 3000  # of a fit that is only used for a score
 Inputs = tuple[tuple[int, ...], tuple[int, ...]]  # joints of the positions, the speeds
 
 
-@dataclass(frozen=True)
-class Learned:
-    """A learned remainder and its predictions on held-out folds.
-
-    Attributes:
-        remainder: Fitted on all samples.
-        cross: Cross-validated torque: that of the regression without the fold of each
-            sample, shape (N, n) for each motion, [N·m].
-        squares: Held-out squares with the remainder, shape (B, n), [N²·m²].
-    """
-
-    remainder: ArmRemainder
-    cross: list[Array]
-    squares: Array
-
-
 def fit_remainder(
     data: Data,
     held_out: Sequence[Array],
@@ -46,7 +29,7 @@ def fit_remainder(
     among: ArmRemainder | None = None,
     bound: Array | float = np.inf,
     seed: int = 0,
-) -> Learned:
+) -> tuple[ArmRemainder, list[Array]]:
     """Fit a Gaussian-mixture regression at each joint whose held-out error it lowers.
 
     The candidate inputs are the joint's own position and speed, then also those of its
@@ -61,6 +44,11 @@ def fit_remainder(
         bound: Largest learned torque, shape (n,), [N·m]. It is never larger than the
             largest residual.
         seed: Seed of the mixtures' initial values.
+
+    Returns:
+        The remainder, fitted on all samples, and its cross-validated torque: that of
+        the regression without the fold of each sample, shape (N, n) for each motion,
+        [N·m].
     """
     n = held_out[0].shape[1]
     residual, parts = data.decimated(held_out), []
@@ -84,8 +72,7 @@ def fit_remainder(
             parts.append(JointRemainder(joint, *inputs, fit()))
             for x, known in zip(cross, predicted, strict=True):
                 x[:, joint] = known
-    after = data.squares([x - y for x, y in zip(held_out, cross, strict=True)])
-    return Learned(ArmRemainder(n, tuple(parts)), cross, after)
+    return ArmRemainder(n, tuple(parts)), cross
 
 
 def _best_inputs(
@@ -107,7 +94,7 @@ def _inputs(q: Array, v: Array, inputs: Inputs) -> Array:
     return np.concatenate([q[:, positions], v[:, speeds]], axis=1)
 
 
-def _ridge_error(x: Array, y: Array, fold: NDArray[np.intp]) -> float:
+def _ridge_error(x: Array, y: Array, fold: Index) -> float:
     """Held-out squares of ridge regression on random Fourier features.
 
     Source: Rahimi and Recht 2007, "Random features for large-scale kernel machines".
@@ -144,17 +131,18 @@ def _learned(
     The first fold selects the number of components. It is None if there are too few
     samples.
     """
+    from hybrid.compensator.gmr_fit import fit_gmr  # scikit-learn is slow to load
+
     moving, components = residual.moving[:, joint], None
     x = _inputs(residual.q, residual.v, inputs)[moving]
     y, fold = residual.tau[moving, joint, None], residual.fold[moving]
 
     def fit(held: NDArray[np.bool_]) -> GaussianMixtureRegression:
-        return GaussianMixtureRegression.fit(
+        return fit_gmr(
             x[~held],
             y[~held],
-            components=components,
-            candidates=_COMPONENTS,
-            validation=(x[held], y[held]) if components is None else None,
+            components=components or _COMPONENTS,
+            validation=None if components else (x[held], y[held]),
             bound=min(bound, float(np.abs(y[~held]).max())),
             max_samples=_MOST_SAMPLES if held.any() else 20_000,
             seed=seed,

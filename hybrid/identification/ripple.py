@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects import Effect, JointState
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification.partial_regression import PartialRegression
@@ -98,8 +98,8 @@ class _Piece:
     sampler: Sampler
     use: NDArray[np.bool_]
     rows: Array
-    fold: NDArray[np.intp]
-    block: NDArray[np.intp]
+    fold: Index
+    block: Index
 
     def wave(self, ripple: Effect) -> Array:
         """Filtered sine and cosine of a ripple, shape (2, M)."""

@@ -1,4 +1,4 @@
-"""The solution of the physical terms, with its held-out error."""
+"""The solution of the terms of an arm, with its held-out error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +28,8 @@ class Solution:
         strength: Number of samples that the prior is worth.
         inertial: Physically consistent links that give these values, shape (n, 10),
             or None.
+        remainder: Learned remainder of the torque, or None.
+        corrected: Held-out squares less a remainder, shape (B, n), [N²·m²], or None.
     """
 
     products: CrossProducts
@@ -35,6 +37,8 @@ class Solution:
     theta: Array
     strength: float = 0.0
     inertial: Array | None = None
+    remainder: ArmRemainder | None = None
+    corrected: Array | None = None
 
     @property
     def problem(self) -> Problem:
@@ -44,6 +48,8 @@ class Solution:
     @cached_property
     def squares(self) -> Array:
         """Held-out squares of each block, unfiltered, shape (B, n), [N²·m²]."""
+        if self.corrected is not None:
+            return self.corrected
         return self.products.held_out_squares(self.theta)
 
     @cached_property
@@ -77,13 +83,7 @@ class Solution:
         """Effects with their values; always the same objects."""
         return self.problem.fitted(self.weighted.theta)[1]
 
-    def model(
-        self,
-        robot: Robot,
-        remainder: ArmRemainder | None = None,
-        *,
-        sure: bool = True,
-    ) -> DynamicModel:
+    def model(self, robot: Robot, *, sure: bool = True) -> DynamicModel:
         """The terms as a model; gains have standard deviations if it is ``sure``."""
         base, effects = self.problem.fitted(self.weighted.theta)
         data = self.products.data
@@ -94,7 +94,7 @@ class Solution:
             robot,
             base,
             tuple(e.at({}, s) for e, s in zip(effects, std, strict=True)),
-            remainder,
+            self.remainder,
             data.cutoff,
             data.standing,
             data.visited,

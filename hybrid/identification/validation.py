@@ -10,16 +10,16 @@ from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError, warn
 from hybrid.identification.preparation import (
-    SLOWEST,
-    STANDING,
     checked_logs,
     log_hash,
     motions_from_logs,
+    standing_speed,
 )
 from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
-from hybrid.regression.data import check_torque, fastest
+from hybrid.regression.data import check_torque
 from hybrid.robot import Robot
+from hybrid.shown import plain
 from hybrid.signals import Motion, Sampler
 
 _LINEAR = ("LS", "WLS", "IRLS", "rigid")
@@ -29,10 +29,8 @@ def fair_bar(rms: Mapping[str, Array]) -> str:
     """Name of the best fit of rigid body and linear friction alone, else of the first.
 
     Plain least squares have an arbitrary error on unseen motion where the logs hardly
-    determine a parameter; the prior of the robot file holds such parameters.
-
-    Args:
-        rms: RMS torque error of each model by name, shape (n,), [N·m].
+    determine a parameter; the prior of the robot file holds such parameters. Models
+    have an RMS torque error by name, shape (n,) each, [N·m].
     """
     linear = [name for name in rms if name in _LINEAR]
     return min(linear or list(rms)[:1], key=lambda name: float(np.nanmean(rms[name])))
@@ -96,24 +94,9 @@ class Validation:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
-        floor = self.noise_floor
-        rows = [
-            {
-                "name": row.name,
-                "rms": row.rms.tolist(),
-                "relative": row.relative.tolist(),
-                "mean": row.mean,
-            }
-            for row in self.rows
-        ]
-        return vars(self) | {
-            "joints": list(self.joints),
-            "units": list(self.units),
-            "rows": rows,
-            "reduction": self.reduction,
-            "noise_floor": None if floor is None else floor.tolist(),
-            "sources": list(self.sources),
-        }
+        rows = [vars(row) | {"mean": row.mean} for row in self.rows]
+        own = vars(self) | {"rows": rows, "reduction": self.reduction}
+        return dict(plain(own))
 
 
 @typed
@@ -155,7 +138,7 @@ def validate(
         )
     slowest = model.standing if standing is None else standing
     if not np.size(slowest):  # a model that was not identified
-        slowest = np.maximum(STANDING * fastest(motions), SLOWEST)
+        slowest = standing_speed(motions)
     each = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
     moving = np.concatenate(each)
     count = moving.sum(axis=0)
@@ -184,17 +167,11 @@ def validate(
 
 
 def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
-    """RMS of white noise in a torque, from its power far above the cut-off.
+    """RMS of white noise in the torque that a model leaves, shape (n,), [N·m].
 
-    Links have no power there, but the steps of dry friction, ripple and resonance may
-    have.
-
-    Args:
-        motions: Motions at full rate, with the torque that a model leaves.
-        cutoff: Cut-off of columns and torque, [Hz].
-
-    Returns:
-        RMS, shape (n,), [N·m], or None if the sampling rate is too low.
+    It is found from the power far above the cut-off of columns and torque, [Hz], and
+    None if the sampling rate is too low. Links have no power there, but the steps of
+    dry friction, ripple and resonance may have.
     """
     power = []
     for motion in motions:

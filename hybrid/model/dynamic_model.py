@@ -87,14 +87,7 @@ class DynamicModel:
         return RigidBody(self.robot.chain, motion, self.link_parameters)
 
     def predict(self, motion: Motion) -> Array:
-        """Drive torque along a motion, as the log would show it.
-
-        Args:
-            motion: N samples of position, speed and acceleration.
-
-        Returns:
-            Torque, shape (N, n), [N·m].
-        """
+        """Drive torque along a motion, as the log would show it, (N, n), [N·m]."""
         for effect in self.effects:
             if effect.observes:
                 motion = effect.observe(motion, self.body(motion))

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.errors import IdentificationError
 from hybrid.regression.data import Data
 from hybrid.regression.problem import Problem
@@ -41,8 +41,8 @@ class CrossProducts:
     data: Data
     blocks: Array
     counts: Array
-    recording: NDArray[np.intp]
-    fold: NDArray[np.intp]
+    recording: Index
+    fold: Index
     unfiltered: tuple[Array, ...]
 
     @cached_property
@@ -69,20 +69,16 @@ class CrossProducts:
         return int(np.diag(self.counts.sum(axis=0)).max())
 
     def normal(self, weight: Array, sums: Array | None = None) -> tuple[Array, Array]:
-        """Normal equations A·theta = b for a weight matrix across joints.
+        """Normal equations A·theta = b for an inverse noise covariance, shape (n, n).
 
-        Args:
-            weight: Inverse noise covariance, shape (n, n).
-            sums: Cross-products to use, shape (..., P, P); all blocks by default.
-
-        Returns:
-            A, shape (..., p, p), and b, shape (..., p).
+        They are those of all blocks, or of other sums, shape (..., P, P). A has the
+        shape (..., p, p), and b (..., p).
         """
         sums = self.total if sums is None else sums
         problem, many = self.problem, sums.shape[:-2]
         A = np.zeros((*many, problem.size, problem.size))
         b = np.zeros((*many, problem.size))
-        parts = [slice(x, y) for x, y in pairwise(self.problem.offsets)]
+        parts = [slice(x, y) for x, y in pairwise(problem.offsets)]
         for i, k in zip(*np.nonzero(weight), strict=True):
             left, right = problem.support[i], problem.support[k]
             own = weight[i, k] * sums[..., parts[i], parts[k]]
@@ -167,7 +163,7 @@ def accumulate(problem: Problem, data: Data) -> CrossProducts:
 
 def _add_by_block(
     sums: tuple[Array, ...],
-    block: NDArray[np.intp],
+    block: Index,
     D: Array,
     moving: NDArray[np.bool_],
 ) -> None:
@@ -180,7 +176,7 @@ def _add_by_block(
                 own[block[start]] += part @ part.T
 
 
-def runs_of(*labels: NDArray[np.intp]) -> list[tuple[int, int]]:
+def runs_of(*labels: Index) -> list[tuple[int, int]]:
     """Start and end (exclusive) of each run of equal labels."""
     steps = np.sum([np.abs(np.diff(x, prepend=-1)) for x in labels], axis=0)
     return list(pairwise([*np.flatnonzero(steps), len(labels[0])]))

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects import Scale
 from hybrid.errors import RecordingError
 from hybrid.regression.chunk import Chunk, chunks_along
@@ -35,7 +35,7 @@ class Data:
     """
 
     motions: tuple[Motion, ...]
-    folds: tuple[NDArray[np.intp], ...]
+    folds: tuple[Index, ...]
     cutoff: float
     standing: Array
 
@@ -50,14 +50,9 @@ class Data:
         return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
 
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
-        """Residual of each sample by the solution without its fold.
+        """Unfiltered residual of each sample by the solution without its fold.
 
-        Args:
-            problem: The linear problem.
-            theta: Solutions without each fold, shape (F, p).
-
-        Returns:
-            Unfiltered torque, shape (N, n) for each motion, [N·m].
+        Solutions have shape (F, p), and residuals (N, n) for each motion, [N·m].
         """
         found = []
         for fold, chunks in zip(self.folds, self.chunks, strict=True):
@@ -77,8 +72,7 @@ class Data:
     def squares(self, residual: Sequence[Array]) -> Array:
         """Squares of the moving joints in each block, shape (B, n), [N²·m²].
 
-        Args:
-            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
+        The residual is at the rate of the motions, shape (N, n) for each, [N·m].
         """
         label = np.concatenate(self.blocks)
         moves = np.concatenate([self.moves(m) for m in self.motions])
@@ -86,7 +80,7 @@ class Data:
         return np.stack([np.bincount(label, x) for x in squares.T], axis=1)
 
     @cached_property
-    def blocks(self) -> list[NDArray[np.intp]]:
+    def blocks(self) -> list[Index]:
         """Block of each sample, shape (N,) for each motion; each lies in one fold."""
         each = max(1, -(-_FEWEST_BLOCKS // len(self.motions)))
         found, last = [], 0
@@ -98,7 +92,7 @@ class Data:
         return found
 
     @cached_property
-    def block_folds(self) -> NDArray[np.intp]:
+    def block_folds(self) -> Index:
         """Fold of each block, shape (B,)."""
         _, first = np.unique(np.concatenate(self.blocks), return_index=True)
         return np.concatenate(self.folds)[first]
@@ -148,11 +142,7 @@ class Data:
         return np.asarray(moves & motion.mask[:, None])
 
     def decimated(self, residual: Sequence[Array]) -> Residual:
-        """A residual filtered and decimated, all motions concatenated.
-
-        Args:
-            residual: Residual at the rate of the motions, shape (N, n) for each, [N·m].
-        """
+        """A residual as in :meth:`squares`, filtered, decimated and concatenated."""
         parts = []
         for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
             sampler = Sampler.for_rate(motion.rate, self.cutoff)
@@ -178,7 +168,7 @@ class Residual:
     v: Array
     tau: Array
     moving: NDArray[np.bool_]
-    fold: NDArray[np.intp]
+    fold: Index
 
 
 def check_torque(motions: Sequence[Motion]) -> None:

@@ -6,20 +6,17 @@ Source: Cameron and Miller 2015, doi 10.3368/jhr.50.2.317 (cluster-robust infere
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.special import stdtrit
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.regression.cross_products import CrossProducts
 from hybrid.regression.least_squares import (
     RANK,
-    Estimator,
     WeightedSolution,
     pseudo_inverse,
     pseudo_solve,
     residual_covariance,
-    solve_weighted,
     unit_columns,
 )
 from hybrid.regression.prior import Prior
@@ -35,7 +32,6 @@ class Estimate(WeightedSolution):
         covariance: Covariance of the unknowns, valid under autocorrelated residuals,
             shape (p, p).
         sigma: Residual covariance across joints, shape (n, n), [N²·m²].
-        condition: Condition number of the whitened, column-scaled columns.
         degrees: Degrees of freedom of the covariance: number of blocks less one.
         undetermined: Indices of unknowns that these data do not determine.
         held: Indices of unknowns that the prior determines more than these data.
@@ -43,7 +39,6 @@ class Estimate(WeightedSolution):
 
     covariance: Array
     sigma: Array
-    condition: float
     degrees: int
     undetermined: tuple[int, ...]
     held: tuple[int, ...] = ()
@@ -59,27 +54,12 @@ class Estimate(WeightedSolution):
         return self.theta - half, self.theta + half
 
 
-def solve(
-    products: CrossProducts,
-    estimator: Estimator = "irls",
-    *,
-    bounded: bool = False,
-    robust: bool = False,
-    prior: Prior | None = None,
-) -> Estimate:
-    """Solve as :func:`solve_weighted` does, which see, and add the uncertainty."""
-    found = solve_weighted(
-        products, estimator, bounded=bounded, robust=robust, prior=prior
-    )
-    return with_uncertainty(products, found)
-
-
 def with_uncertainty(
     products: CrossProducts,
     found: WeightedSolution,
     complete: CrossProducts | None = None,
 ) -> Estimate:
-    """Add covariance and condition to a solution.
+    """Add the uncertainty to a solution.
 
     Args:
         products: Cross-products of the data.
@@ -93,7 +73,6 @@ def with_uncertainty(
         **vars(found),
         covariance=covariance,
         sigma=residual_covariance(products, found.theta),
-        condition=condition_number(A),
         degrees=degrees,
         undetermined=_undetermined(A),
         held=_held(A, found.prior),
@@ -124,16 +103,10 @@ def _undetermined(A: Array) -> tuple[int, ...]:
 
 
 def weak_directions(A: Array, weakest: float) -> Array:
-    """Directions of the unknowns that belong to small singular values.
+    """Orthonormal directions of small singular values, shape (p, any number).
 
-    Args:
-        A: Normal matrix, shape (p, p).
-        weakest: Largest singular value that counts as small, as a share of the
-            largest of all.
-
-    Returns:
-        Orthonormal directions, in columns; the unknowns are scaled so that the
-        regression columns have unit length; shape (p, any number).
+    These are at most a share ``weakest`` of the largest one. The unknowns are scaled so
+    that the regression columns have unit length.
     """
     values, vectors = eigh(unit_columns(A)[0])
     return np.asarray(vectors[:, values <= weakest**2 * values[-1]])
@@ -174,7 +147,7 @@ def _covariance(products: CrossProducts, found: WeightedSolution) -> tuple[Array
     return covariance[:size, :size], count - 1
 
 
-def _variance_inflation(series: Array, recording: NDArray[np.intp]) -> Array:
+def _variance_inflation(series: Array, recording: Index) -> Array:
     """Variance of the sum of a series over that of independent terms, shape (p,).
 
     Source: a first-order autoregression, Andrews and Monahan 1992, doi 10.2307/2951574;

@@ -136,9 +136,7 @@ def unit_columns(A: Array) -> tuple[Array, Array]:
 def pseudo_solve(A: Array, b: Array) -> Array:
     """Minimum-norm solution of normal equations in scaled columns, the shape of b.
 
-    Args:
-        A: Normal matrix, shape (p, p).
-        b: Right sides, shape (p,) or (p, any number).
+    There is one right side, shape (p,), or any number of them, (p, any number).
     """
     scaled, size = unit_columns(A)
     factor, fails = dpotrf(scaled, lower=1)

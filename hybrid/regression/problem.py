@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
@@ -58,7 +58,7 @@ class Problem:
         return self.base.size
 
     @property
-    def rigid(self) -> NDArray[np.intp]:
+    def rigid(self) -> Index:
         """Indices of the base inertial parameters among the unknowns."""
         return np.arange(self.size - len(self.gains))
 
@@ -87,7 +87,7 @@ class Problem:
         return effect.values[effect.gains[g].name] if effect.changes_signals else 0.0
 
     @cached_property
-    def support(self) -> tuple[NDArray[np.intp], ...]:
+    def support(self) -> tuple[Index, ...]:
         """Indices of the unknowns that change the torque of joint i, for each joint."""
         motion = rich_motion(self.chain)
         stacked = stacked_columns(self.chain, self.effects, self.columns, motion)
@@ -183,12 +183,8 @@ def build_problem(
 ) -> Problem:
     """Stack rigid body and effects and reduce them to identifiable unknowns.
 
-    Args:
-        chain: The arm.
-        effects: Effects whose gains are unknown.
-        inertial: Link parameters for the transmitted torque, shape (n, 10); those of
-            the chain by default.
-        without: Gains that are not unknowns: index of the effect, name of the gain.
+    The transmitted torque is that of the link parameters of the chain, or of others,
+    shape (n, 10). Gains in ``without`` (index of the effect, name) are no unknowns.
     """
     columns = effect_gains(effects, without)
     base = stacked_base(chain, effects, columns)
