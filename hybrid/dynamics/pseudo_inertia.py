@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.robot.chain import Chain
+from hybrid.robot.spatial import INERTIA
 
 _ROWS, _COLUMNS = np.tril_indices(4)[::-1]  # upper triangle, column by column
 _STACKING = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))  # keeps the inner product
@@ -29,14 +30,9 @@ def pseudo_inertia(inertial: Array) -> Array:
         Shape (..., 4, 4), in [kg·m²], [kg·m] and [kg].
     """
     inertial = np.asarray(inertial, dtype=float)
+    about = inertial[..., INERTIA]
     J = np.empty((*inertial.shape[:-1], 4, 4))
-    xx, xy, yy, xz, yz, zz = np.moveaxis(inertial[..., 4:], -1, 0)
-    J[..., 0, 0] = (yy + zz - xx) / 2
-    J[..., 1, 1] = (xx + zz - yy) / 2
-    J[..., 2, 2] = (xx + yy - zz) / 2
-    J[..., 0, 1] = J[..., 1, 0] = -xy
-    J[..., 0, 2] = J[..., 2, 0] = -xz
-    J[..., 1, 2] = J[..., 2, 1] = -yz
+    J[..., :3, :3] = _trace(about) / 2 * np.eye(3) - about
     J[..., :3, 3] = J[..., 3, :3] = inertial[..., 1:4]
     J[..., 3, 3] = inertial[..., 0]
     return J
@@ -44,9 +40,14 @@ def pseudo_inertia(inertial: Array) -> Array:
 
 def inertial_from_pseudo(J: Array) -> Array:
     """Inverse of :func:`pseudo_inertia`: shape (..., 4, 4) to (..., 10)."""
-    xx, yy, zz = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
-    about = [yy + zz, -J[..., 0, 1], xx + zz, -J[..., 0, 2], -J[..., 1, 2], xx + yy]
-    return np.stack([J[..., 3, 3], *np.moveaxis(J[..., :3, 3], -1, 0), *about], axis=-1)
+    second = J[..., :3, :3]
+    about = _trace(second) * np.eye(3) - second
+    rows, columns = np.tril_indices(3)
+    return np.concatenate([J[..., 3, 3:], J[..., 3, :3], about[..., rows, columns]], -1)
+
+
+def _trace(matrix: Array) -> Array:
+    return np.asarray(np.trace(matrix, axis1=-2, axis2=-1))[..., None, None]
 
 
 def is_consistent(inertial: Array, tolerance: float = 1e-12) -> NDArray[np.bool_]:
@@ -61,11 +62,10 @@ def is_consistent(inertial: Array, tolerance: float = 1e-12) -> NDArray[np.bool_
     """
     J = pseudo_inertia(inertial)
     mass = J[..., 3, 3]
-    second = np.trace(J[..., :3, :3], axis1=-2, axis2=-1)
-    unit = np.ones(J.shape[:-1])
-    unit[..., :3] = np.sqrt(np.abs(second))[..., None]
-    unit[..., 3] = np.sqrt(np.abs(mass))
-    unit = np.where(unit > 0, unit, 1.0)
+    unit = np.empty(J.shape[:-1])
+    unit[..., :3] = _trace(J[..., :3, :3])[..., 0]
+    unit[..., 3] = mass
+    unit = np.where(unit == 0, 1.0, np.sqrt(np.abs(unit)))
     smallest = np.linalg.eigvalsh(J / unit[..., None] / unit[..., None, :])[..., 0]
     return np.asarray((smallest >= -tolerance) & (mass > 0))
 

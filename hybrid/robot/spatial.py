@@ -4,6 +4,8 @@ import numpy as np
 
 from hybrid.arrays import Array
 
+# Places of the inertia matrix in the ten inertial parameters of a link.
+INERTIA = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])
 ROUNDED = 1.5e-5  # of a moment of inertia: rounding error of three six-digit numbers
 _SMALLEST = 1e-9  # kg·m²; rounding of smaller moments is ignored
 
@@ -35,8 +37,7 @@ def inertial_about(mass: float, center: Array, inertia: Array) -> Array:
     """
     k = skew(center)
     about = inertia - mass * (k @ k)
-    six = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return np.array([mass, *(mass * center), *six])
+    return np.array([mass, *(mass * center), *about[np.tril_indices(3)]])
 
 
 def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
@@ -50,9 +51,7 @@ def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
     mass = float(inertial[0])
     center = inertial[1:4] / mass if mass > 0 else np.zeros(3)
     k = skew(center)
-    xx, xy, yy, xz, yz, zz = inertial[4:]
-    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return mass, center, about_origin + mass * (k @ k)
+    return mass, center, inertial[INERTIA] + mass * (k @ k)
 
 
 def inertia_fault(mass: float, about: Array) -> str:
