@@ -44,12 +44,8 @@ def regressor(
 ) -> Array:
     """Torque per unit of all inertial parameters, or of some.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
-        which: Wanted columns out of the 10n, length c; all by default.
+    The motion is that of :func:`inverse_dynamics`. ``which`` are c wanted columns out
+    of the 10n, by default all.
 
     Returns:
         Y, shape (N, n, c), link by link in the order of ``INERTIAL_NAMES``, or in that
@@ -72,13 +68,8 @@ def regressor_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of ``sum(weight * regressor(chain, q, v, a))`` by the motion.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
-        weight: Weight of each entry of the regressor, shape (N, n, 10n). Entries of
-            joints beyond a link have no effect.
+    The weight of each entry of the regressor has shape (N, n, 10n); entries of joints
+    beyond a link have no effect.
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).
@@ -95,13 +86,8 @@ def torque_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of one joint's rigid-body torque in each sample by the motion.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
-        inertial: Link parameters, shape (n, 10).
-        joint: Index of the joint in each sample, shape (N,).
+    ``joint`` is the index of the joint in each sample, shape (N,); the other arguments
+    are those of :func:`inverse_dynamics`.
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).
@@ -131,11 +117,11 @@ class _Arm:
 def _torque_law(arm: _Arm) -> Law:
     """Torque from q, v and a, then ten parameters of each link, then gravity."""
     tape, n = Tape(), arm.chain.size
-    names, (q, v, a) = _motion(tape, n)
-    links = [[tape.input(f"link[{k}, {i}]") for i in range(10)] for k in range(n)]
-    gravity = [tape.input(f"gravity[{c}]") for c in range(3)]
-    names += [f"link[{k}, {i}]" for k in range(n) for i in range(10)]
+    names = [*_motion_names(n), *(f"link[{i}]" for i in range(10 * n))]
     names += [f"gravity[{c}]" for c in range(3)]
+    given = _inputs(tape, names)
+    q, v, a = given[: 3 * n].reshape(3, n)
+    links, gravity = given[3 * n : -3].reshape(n, 10), given[-3:]
     torque = newton_euler(arm.chain, links, gravity, q=q, v=v, a=a)
     return Law(tape, tuple(torque), tuple(names))
 
@@ -143,8 +129,8 @@ def _torque_law(arm: _Arm) -> Law:
 @lru_cache(maxsize=_MOST_ARMS)
 def _regressor_tape(arm: _Arm) -> tuple[Tape, list[str], list[Any]]:
     """Tape, names of its inputs, and the n · 10n entries of the regressor."""
-    tape = Tape()
-    names, (q, v, a) = _motion(tape, arm.chain.size)
+    tape, names = Tape(), _motion_names(arm.chain.size)
+    q, v, a = _inputs(tape, names).reshape(3, -1)
     rows = unit_torques(arm.chain, q=q, v=v, a=a)
     return tape, names, [x for row in rows for x in row]
 
@@ -161,13 +147,14 @@ def _gradient_law(arm: _Arm) -> tuple[Law, list[int]]:
     tape, names, every = _regressor_tape(arm)
     entries = [k for k, x in enumerate(every) if isinstance(x, Symbol)]
     weights = [f"weight[{k}]" for k in entries]
-    seeds, motion = map(tape.input, weights), map(tape.input, names)
-    found = tape.gradient([every[k] for k in entries], list(seeds), list(motion))
+    seeds, motion = _inputs(tape, weights), _inputs(tape, names)
+    found = tape.gradient([every[k] for k in entries], seeds, motion)
     return Law(tape, tuple(found), (*names, *weights)), entries
 
 
-def _motion(tape: Tape, n: int) -> tuple[list[str], tuple[list[Any], ...]]:
-    """Names and symbols of the inputs q, v and a."""
-    names = [f"{x}[{j}]" for x in "qva" for j in range(n)]
-    given = [tape.input(name) for name in names]
-    return names, (given[:n], given[n : 2 * n], given[2 * n :])
+def _motion_names(n: int) -> list[str]:
+    return [f"{x}[{j}]" for x in "qva" for j in range(n)]
+
+
+def _inputs(tape: Tape, names: Sequence[str]) -> Any:
+    return np.array([tape.input(name) for name in names], dtype=object)
