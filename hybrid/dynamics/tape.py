@@ -78,27 +78,20 @@ class Tape:
 
     def needed(self, results: Sequence[Any]) -> list[int]:
         """Lines on which the results depend, in order."""
-        marked = [False] * len(self.lines)
-        for x in results:
-            if isinstance(x, Symbol):
-                marked[x.line] = True
+        found = {x.line for x in results if isinstance(x, Symbol)}
         for line in reversed(range(len(self.lines))):
-            if marked[line] and self.lines[line].name != "input":
-                for x in self.lines[line].arguments:
-                    if isinstance(x, int):
-                        marked[x] = True
-        return [line for line, needed in enumerate(marked) if needed]
+            if line in found:
+                found.update(self.arguments(line))
+        return sorted(found)
+
+    def arguments(self, line: int) -> list[int]:
+        """Lines that are arguments of a line."""
+        return [x for x in self.lines[line].arguments if isinstance(x, int)]
 
     def gradient(
         self, results: Sequence[Symbol], seeds: Sequence[Any], inputs: Sequence[Symbol]
     ) -> list[Any]:
-        """Derivatives of ``sum(seed * result)`` by inputs, by reverse differentiation.
-
-        Args:
-            results: Symbols of the tape.
-            seeds: Factor of each result.
-            inputs: Inputs of the tape.
-        """
+        """Derivatives of ``sum(seed * result)`` by inputs, in reverse mode."""
         slope: dict[int, Any] = {}
 
         def add(line: int, x: Any) -> None:
