@@ -27,13 +27,8 @@ def rotation_from_axis_angle(axis: Array, angle: float) -> Array:
 def inertial_about(mass: float, center: Array, inertia: Array) -> Array:
     """Ten inertial parameters of a body about the frame origin.
 
-    Args:
-        mass: Mass, [kg].
-        center: Centre of mass in the frame, shape (3,), [m].
-        inertia: Inertia about the centre of mass, frame axes, shape (3, 3), [kg·m²].
-
-    Returns:
-        (m, m·c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz), shape (10,).
+    They are (m, m·c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz); the argument is the inertia about
+    the centre of mass, shape (3, 3), [kg·m²].
     """
     k = skew(center)
     about = inertia - mass * (k @ k)
@@ -55,12 +50,7 @@ def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
 
 
 def inertia_fault(mass: float, about: Array) -> str:
-    """Say why a mass and an inertia are not physical; empty if they are.
-
-    Args:
-        mass: Mass, [kg].
-        about: Inertia about the centre of mass, shape (3, 3), [kg·m²].
-    """
+    """Say why mass and inertia about its centre are not physical; empty if they are."""
     size, moments = np.abs(about).max(), np.full(3, np.nan)
     if 0 <= size < np.inf:
         moments = np.linalg.eigvalsh(about / (size or 1.0)) * size
@@ -75,16 +65,10 @@ def inertia_fault(mass: float, about: Array) -> str:
 
 
 def link_spread(inertial: Array) -> Array:
-    """Scale of each link parameter, for relative errors.
+    """Scale of each link parameter, for relative errors, shape (n, 10).
 
     A coordinate of the centre of mass that is zero in the file may still be wrong. Its
     scale is therefore at least a third of the link's radius of gyration.
-
-    Args:
-        inertial: Link parameters, shape (n, 10).
-
-    Returns:
-        Scales in the parameters' units, shape (n, 10).
     """
     scale = np.zeros_like(inertial)
     for k, link in enumerate(inertial):

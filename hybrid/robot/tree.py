@@ -12,10 +12,10 @@ from hybrid.arrays import Array
 from hybrid.errors import RobotError, warn
 from hybrid.robot.chain import MOST_JOINTS, Chain
 from hybrid.robot.spatial import (
+    central_inertia,
     inertia_fault,
     inertial_about,
     rotation_from_axis_angle,
-    skew,
 )
 
 _BASE = -1
@@ -73,11 +73,11 @@ class Place(NamedTuple):
     rotation: Array
     position: Array
 
-    def body(self, node: Node) -> Body:
-        """Body of a frame, in the frame of the link."""
+    def inertial(self, node: Node) -> Array:
+        """Ten parameters of a frame's body, in the frame of the link."""
         R = self.rotation
         center = self.position + R @ node.center
-        return node.mass, center, R @ node.inertia @ R.T
+        return inertial_about(node.mass, center, R @ node.inertia @ R.T)
 
 
 @dataclass(frozen=True)
@@ -182,13 +182,14 @@ class Tree:
     ) -> Chain:
         """Chain of an arm; bodies on held joints are part of its links."""
         places, frames = self.places(joints, held)
-        bodies: list[list[Body]] = [[] for _ in joints]
-        names = list(joints)  # names of links; a link without a body has the joint's
-        for node, place in zip(reversed(self.nodes), reversed(places), strict=True):
+        inertial = np.zeros((len(joints), 10))
+        names: dict[int, str] = {}  # of links with a body
+        for node, place in zip(self.nodes, places, strict=True):
             if place.link >= 0 and node.body is not None:
-                bodies[place.link].append(place.body(node))
-                names[place.link] = node.name
-        links = [_link(*x) for x in zip(names, bodies, strict=True)]
+                inertial[place.link] += place.inertial(node)
+                names.setdefault(place.link, node.name)
+        for k, name in sorted(names.items()):
+            _check_link(name, inertial[k])
         moved = {node.joint: node for node in self.nodes if node.joint}
         return Chain(
             joints=tuple(joints),
@@ -196,29 +197,21 @@ class Tree:
             translation=np.array([x.position for x in frames]),
             axis=np.array([moved[x].axis for x in joints]),
             revolute=np.array([moved[x].revolute for x in joints]),
-            inertial=np.array([inertial_about(*x) for x in links]),
+            inertial=inertial,
             gravity=gravity,
             armature=armature,
         )
 
 
-def _link(name: str, bodies: Sequence[Body]) -> Body:
-    """Combine bodies that move together, and check the inertia of the sum."""
-    mass = sum(m for m, _, _ in bodies)
-    center = sum((m * c for m, c, _ in bodies), np.zeros(3))
-    center = center / mass if mass > 0 else center
-    inertia = np.zeros((3, 3))
-    for m, c, own in bodies:
-        arm = skew(c - center)
-        inertia += own - m * (arm @ arm)
-    if bodies and mass == 0 and not inertia.any():
+def _check_link(name: str, inertial: Array) -> None:
+    if not inertial.any():
         raise RobotError(
             f"link {name!r} moves and has no inertia; give it an <inertial>, or choose "
             "joints without it"
         )
-    if fault := inertia_fault(mass, inertia):
+    mass, _, about = central_inertia(inertial)
+    if fault := inertia_fault(mass, about):
         raise RobotError(f"link {name!r} {fault}")
-    return mass, center, inertia
 
 
 def serial_joints(
