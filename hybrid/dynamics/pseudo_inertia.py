@@ -22,12 +22,8 @@ _LEAST_WIDTH = 0.05  # of the usual width, for a link as thin as a rod
 def pseudo_inertia(inertial: Array) -> Array:
     """Pseudo-inertia [[Σ, m c], [(m c)ᵀ, m]], with Σ = ½ tr(I)·1 − I.
 
-    Args:
-        inertial: Parameters about the link frame in the order of
-            :data:`~hybrid.robot.chain.INERTIAL_NAMES`, shape (..., 10).
-
-    Returns:
-        Shape (..., 4, 4), in [kg·m²], [kg·m] and [kg].
+    Parameters in the order of :data:`~hybrid.robot.chain.INERTIAL_NAMES`, shape
+    (..., 10), become matrices, shape (..., 4, 4), in [kg·m²], [kg·m] and [kg].
     """
     inertial = np.asarray(inertial, dtype=float)
     about = inertial[..., INERTIA]
@@ -97,10 +93,6 @@ def nominal_bodies(chain: Chain, inertial: Array) -> Array:
     A link that is not physically consistent becomes a body as wide as a quarter of its
     length, about its centre of mass. Without a mass, it has the density of water and
     lies half-way to the next joint. Links as thin as a rod get some width.
-
-    Args:
-        chain: The arm, for the lengths of its links.
-        inertial: Parameters from the robot file, shape (n, 10).
     """
     ahead = np.vstack([chain.translation[1:], np.zeros(3)])
     length = np.linalg.norm(ahead, axis=1)

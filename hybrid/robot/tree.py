@@ -146,14 +146,10 @@ class Tree:
     def places(
         self, joints: Sequence[str], held: Mapping[str, float]
     ) -> tuple[list[Place], list[Place]]:
-        """Find the place of each frame in the links of an arm.
+        """Place of each node in the arm, and of each joint's frame in the link before.
 
-        Args:
-            joints: Joints of the arm, base to tip.
-            held: Positions of other joints, if they differ from the file.
-
-        Returns:
-            Place of each node, and of each joint's frame in the link before it.
+        The arm's joints are given base to tip, and the positions of the others if they
+        differ from the file.
         """
         places: list[Place] = []
         frames: list[Place] = []
@@ -219,14 +215,10 @@ def serial_joints(
 ) -> tuple[str, ...]:
     """Choose the joints of the serial arm in a tree, base to tip.
 
-    At a fork the arm goes on with the branch of the longest chain, the first of equal
-    ones. It ends if equal branches are not longer than the chain before the fork, as
-    the fingers of a gripper are.
-
-    Args:
-        tree: The tree of joints.
-        joints: Joints that the user wants, in any order, or None to choose.
-        held: Positions of joints outside the arm, [rad or m].
+    They are those that the user wants, in any order. Otherwise the arm goes on at a
+    fork with the branch of the longest chain, the first of equal ones. It ends if equal
+    branches are not longer than the chain before the fork, as the fingers of a gripper
+    are. The other joints are held, where the user wants or the file has them.
 
     Raises:
         RobotError: There is no joint, an unknown joint, joints on different branches,
@@ -262,8 +254,7 @@ def serial_joints(
             )
     others = {name for name in tree.parents if name not in kept}
     if others:
-        text = _choice(tree, kept, others, held)
-        warn(text)
+        warn(_choice(tree, kept, others, held))
     return kept
 
 

@@ -23,13 +23,10 @@ _SOFTEST, _HARDEST = 0.0001, 0.9999  # impedances that MuJoCo allows
 def set_tendon(
     document: Document, joints: Sequence[str], step: float, **forces: float
 ) -> None:
-    """Write forces on the sum of one or two joints to a tendon.
+    """Write forces on the sum of one or two joints to a tendon of an MJCF file.
 
-    Args:
-        document: An MJCF file.
-        joints: One or two joints.
-        step: Time step of the file, [s].
-        forces: ``armature``, ``damping``, ``frictionloss``, SI units at the joints.
+    They are ``armature``, ``damping`` and ``frictionloss``, in SI units at the joints;
+    the time step of the file is in seconds.
     """
     hard = {"solreffriction": (2 * step, 1.0), **HARD}
     hard = hard if forces["frictionloss"] else {}

@@ -71,17 +71,13 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
 def move_assets(document: Document, home: Path, folder: Path) -> None:
     """Adapt the paths of meshes and pictures to another folder."""
     assets = ("mesh", "hfield", "skin", "texture", "flexcomp", "model")
-    if home.resolve() == folder.resolve() or not any(
-        "file" in t.attributes for t in document.tags if t.path[-1] in assets
-    ):
-        return
     home, folder = home.resolve(), folder.resolve()
+    named = any("file" in t.attributes for t in document.tags if t.path[-1] in assets)
+    if home == folder or not named:
+        return
     given: dict[str, str] = {}
     for tag in document.find("mujoco", "compiler"):
-        given |= {
-            name: x for name, x in tag.attributes.items()
-            if name in ("meshdir", "texturedir", "assetdir")
-        }  # fmt: skip
+        given |= tag.attributes
     both = given.get("assetdir", "")
     new = {
         name: relative_path(given.get(name, both) or ".", home, folder)
@@ -214,17 +210,22 @@ def _extend_keyframes(document: Document, model: Any, added: Sequence[int]) -> N
     """Add zeros for new joints to keyframes and to custom limits."""
     places = {"qpos": model.jnt_qposadr, "qvel": model.jnt_dofadr}
     for tag in document.find("keyframe", "key"):
-        given = {}
-        for name in places.keys() & tag.attributes.keys():
-            words = tag.attributes[name].split()
-            for j in added:
-                words.insert(int(places[name][j]) + 1, "0")
-            given[name] = " ".join(words)
+        given = {
+            name: " ".join(_extended(tag.attributes[name], at[added].tolist()))
+            for name, at in places.items()
+            if name in tag.attributes
+        }
         document.set(tag, given)
     for tag in document.find("custom", "numeric"):
         if tag.attributes.get("name") in _LIMITS:
-            words = tag.attributes.get("data", "").split()
-            for j in added:
-                words.insert(j + 1, "0")
+            words = _extended(tag.attributes.get("data", ""), added)
             size = {"size": len(words)} if "size" in tag.attributes else {}
             document.set(tag, {"data": " ".join(words), **size})
+
+
+def _extended(text: str, after: Sequence[int]) -> list[str]:
+    """Words with a zero after each of some, last first."""
+    words = text.split()
+    for place in after:
+        words.insert(place + 1, "0")
+    return words

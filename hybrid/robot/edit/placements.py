@@ -59,7 +59,9 @@ def _edit_urdf(document: Document, changes: dict[str, tuple[Array, Array]]) -> N
             continue
         origin = document.children(tag, "origin")
         own = origin[0].attributes if origin else {}
-        xyz, rpy = (_numbers(own.get(name, "0 0 0")) for name in ("xyz", "rpy"))
+        xyz, rpy = (
+            np.array(own.get(name, "0 0 0").split(), float) for name in ("xyz", "rpy")
+        )
         turn, shift = changes[joint]
         R = Rotation.from_euler("xyz", rpy).as_matrix()
         given = {"xyz": xyz + R @ shift, "rpy": roll_pitch_yaw(R @ turn)}
@@ -88,7 +90,3 @@ def _edit_mjcf(
         around = found[0].parent
         assert around is not None  # the body
         document.set(around, {"pos": position, "quat": quaternion}, drop=_ORIENTATIONS)
-
-
-def _numbers(text: str) -> Array:
-    return np.array([float(x) for x in text.split()])
