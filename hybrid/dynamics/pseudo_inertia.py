@@ -15,6 +15,8 @@ from hybrid.robot.spatial import INERTIA
 
 _ROWS, _COLUMNS = np.tril_indices(4)[::-1]  # upper triangle, column by column
 _STACKING = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))  # keeps the inner product
+# Negative eigenvalue of a pseudo-inertia whose mass and tr(Σ) are one.
+_ROUNDING = 1e-12
 _DENSITY = 1000.0  # kg/m³, of a link without a mass in its file
 _LEAST_WIDTH = 0.05  # of the usual width, for a link as thin as a rod
 
@@ -46,15 +48,10 @@ def _trace(matrix: Array) -> Array:
     return np.asarray(np.trace(matrix, axis1=-2, axis2=-1))[..., None, None]
 
 
-def is_consistent(inertial: Array, tolerance: float = 1e-12) -> NDArray[np.bool_]:
-    """Whether each link is physically consistent, shape (...).
+def is_consistent(inertial: Array) -> NDArray[np.bool_]:
+    """Whether each link, shape (..., 10), is physically consistent, shape (...).
 
     Point masses and rods, which have no width in some direction, are consistent.
-
-    Args:
-        inertial: Link parameters, shape (..., 10).
-        tolerance: Negative eigenvalue of the pseudo-inertia that counts as rounding
-            error, in units in which mass and tr(Σ) are one.
     """
     J = pseudo_inertia(inertial)
     mass = J[..., 3, 3]
@@ -63,7 +60,7 @@ def is_consistent(inertial: Array, tolerance: float = 1e-12) -> NDArray[np.bool_
     unit[..., 3] = mass
     unit = np.where(unit == 0, 1.0, np.sqrt(np.abs(unit)))
     smallest = np.linalg.eigvalsh(J / unit[..., None] / unit[..., None, :])[..., 0]
-    return np.asarray((smallest >= -tolerance) & (mass > 0))
+    return np.asarray((smallest >= -_ROUNDING) & (mass > 0))
 
 
 def stacked(J: Array) -> Array:

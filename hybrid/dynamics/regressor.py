@@ -39,23 +39,18 @@ def inverse_dynamics(
     return _torque_law(_Arm(chain)).along((q, v, a), constants)
 
 
-def regressor(
-    chain: Chain, q: Array, v: Array, a: Array, which: Sequence[int] | None = None
-) -> Array:
-    """Torque per unit of all inertial parameters, or of some.
+def regressor(chain: Chain, q: Array, v: Array, a: Array) -> Array:
+    """Torque per unit of each inertial parameter along a motion.
 
-    The motion is that of :func:`inverse_dynamics`. ``which`` are c wanted columns out
-    of the 10n, by default all.
+    The motion is that of :func:`inverse_dynamics`.
 
     Returns:
-        Y, shape (N, n, c), link by link in the order of ``INERTIAL_NAMES``, or in that
-        of ``which``. It is a view of an array of shape (n, c, N).
+        Y, shape (N, n, 10n), link by link in the order of ``INERTIAL_NAMES``. It is a
+        view of an array of shape (n, 10n, N).
     """
     n = chain.size
-    columns = np.arange(10 * n) if which is None else np.array(which, dtype=int)
-    entries = (10 * n * np.arange(n)[:, None] + columns).ravel()
-    rows = regressor_law(chain, tuple(entries.tolist())).rows((q, v, a))
-    return rows.reshape(n, len(columns), len(q)).transpose(2, 0, 1)
+    rows = regressor_law(chain, tuple(range(10 * n * n))).rows((q, v, a))
+    return rows.reshape(n, 10 * n, len(q)).transpose(2, 0, 1)
 
 
 def regressor_law(chain: Chain, entries: tuple[int, ...]) -> Law:

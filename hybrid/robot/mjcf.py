@@ -20,7 +20,6 @@ from hybrid.robot.actuators import (
     through_gears,
     torque_limit,
 )
-from hybrid.robot.spatial import rotation_from_axis_angle
 from hybrid.robot.tree import Node, Tree, serial_joints
 
 _FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint
@@ -207,7 +206,7 @@ def joint_frame(
     back = -model.qpos0[model.jnt_qposadr[joint]]
     p = p + R @ offset
     if model.jnt_type[joint] == _HINGE:
-        return R @ rotation_from_axis_angle(axis, back), p, offset
+        return R @ Rotation.from_rotvec(back * axis).as_matrix(), p, offset
     return R, p + back * (R @ axis), offset
 
 

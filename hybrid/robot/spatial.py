@@ -17,13 +17,6 @@ def skew(x: Array) -> Array:
     )
 
 
-def rotation_from_axis_angle(axis: Array, angle: float) -> Array:
-    """Rotation by ``angle`` [rad] about the unit ``axis``, shape (3, 3)."""
-    k = skew(axis)
-    R: Array = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
-    return R
-
-
 def inertial_about(mass: float, center: Array, inertia: Array) -> Array:
     """Ten inertial parameters of a body about the frame origin.
 

@@ -7,16 +7,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError, warn
 from hybrid.robot.chain import MOST_JOINTS, Chain
-from hybrid.robot.spatial import (
-    central_inertia,
-    inertia_fault,
-    inertial_about,
-    rotation_from_axis_angle,
-)
+from hybrid.robot.spatial import central_inertia, inertia_fault, inertial_about
 
 _BASE = -1
 Body = tuple[float, Array, Array]  # mass, centre (3,), inertia about it (3, 3)
@@ -163,7 +159,7 @@ class Tree:
                 frames.append(Place(link, R, p))
                 link, R, p = len(frames) - 1, np.eye(3), np.zeros(3)
             elif node.joint and node.revolute:
-                R = R @ rotation_from_axis_angle(node.axis, at)
+                R = R @ Rotation.from_rotvec(at * node.axis).as_matrix()
             elif node.joint:
                 p = p + at * (R @ node.axis)
             places.append(Place(link, R, p))
