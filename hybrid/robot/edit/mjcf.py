@@ -22,7 +22,7 @@ from hybrid.robot.edit.document import (
 )
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.extra_friction import (
-    HARD,
+    hard,
     replaced_friction,
     set_couplings,
     set_knee_friction,
@@ -150,8 +150,8 @@ def _joint(
         nonlinear = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
         given["damping"] = friction if nonlinear else linear
     if motors or changed("frictionloss") or bool(old.knee[j]) != bool(new.knee[j]):
-        dry, hard = new.frictionloss[j], {"solreffriction": (2 * step, 1.0), **HARD}
-        given |= {} if new.knee[j] else {"frictionloss": dry, **hard}
+        dry = new.frictionloss[j]
+        given |= {} if new.knee[j] else {"frictionloss": dry, **hard(step)}
         set_tendon(document, [name], step, frictionloss=dry if new.knee[j] else 0.0)
     if changed("stiffness") or (new.stiffness[j] and changed("springref")):
         unit = turn_unit(document, not new.chain.revolute[j])
@@ -189,8 +189,7 @@ def _structure(
     known = {child.tag for child in before}
     for section in after:
         if section.tag not in known and section.tag != "default":
-            text = ElementTree.tostring(section, encoding="unicode").strip()
-            document.append(document.root, f"  {text}\n")
+            document.append(ElementTree.tostring(section, encoding="unicode").strip())
     _extend_keyframes(document, model, sorted(added, reverse=True))
 
 
