@@ -58,12 +58,12 @@ def newton_euler(
 
 def unit_torques(
     chain: Chain, *, q: Sequence[Any], v: Sequence[Any], a: Sequence[Any]
-) -> list[list[Any]]:
-    """Torque of each joint per unit of each inertial parameter, n lists of 10n.
+) -> Any:
+    """Torque of each joint per unit of each inertial parameter, shape (n, 10n).
 
     The arguments are those of :func:`newton_euler`.
     """
-    rows: list[list[Any]] = [[] for _ in range(chain.size)]
+    torque = _scalars(np.zeros((chain.size, 10 * chain.size)))
     screws: list[tuple[Vector, Vector]] = []  # turn and shift of the link by each joint
     for k, link in enumerate(_links(chain, chain.gravity, q, v, a)):
         back = link.turn.T
@@ -71,11 +71,10 @@ def unit_torques(
         still = _scalars(np.zeros(3))
         screws.append((link.axis, still) if chain.revolute[k] else (still, link.axis))
         wrenches = [_wrench(unit, link) for unit in _scalars(np.eye(10))]
-        for row, (u, s) in zip(rows, screws, strict=False):
-            row += [s @ force + u @ moment for force, moment in wrenches]
-        for row in rows[k + 1 :]:
-            row += [0.0] * 10
-    return rows
+        for j, (u, s) in enumerate(screws):
+            own = [s @ force + u @ moment for force, moment in wrenches]
+            torque[j, 10 * k : 10 * k + 10] = own
+    return torque
 
 
 def _links(

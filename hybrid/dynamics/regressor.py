@@ -126,8 +126,8 @@ def _regressor_tape(arm: _Arm) -> tuple[Tape, list[str], list[Any]]:
     """Tape, names of its inputs, and the n · 10n entries of the regressor."""
     tape, names = Tape(), _motion_names(arm.chain.size)
     q, v, a = _inputs(tape, names).reshape(3, -1)
-    rows = unit_torques(arm.chain, q=q, v=v, a=a)
-    return tape, names, [x for row in rows for x in row]
+    torque = unit_torques(arm.chain, q=q, v=v, a=a)
+    return tape, names, torque.ravel().tolist()
 
 
 @lru_cache(maxsize=_MOST_ARMS)

@@ -73,7 +73,7 @@ def capsules_from_robot(robot: Robot) -> Capsules:
         raise RobotError(f"{path.name} has not all joints of {robot.name}")
     places, _ = tree.places(robot.joints, robot.held)
     where = {n.body: place for n, place in zip(tree.nodes, places, strict=True)}
-    link, ends, radius, names = [], [], [], []
+    found = []
     for body, points, extra, name in pieces:
         k, R, p = where[body]
         if not np.abs(points).max(initial=extra) < _FARTHEST:
@@ -81,13 +81,11 @@ def capsules_from_robot(robot: Robot) -> Capsules:
                 f"{path.name}: {printable(name)!r} reaches {_FARTHEST:g} m or more"
             )
         segment, r = _covering(points @ R.T + p)
-        link.append(k)
-        ends.append(segment)
-        radius.append(r + extra)
-        names.append(name)
-    if not any(k >= 0 for k in link):
+        found.append((k, segment, r + extra, name))
+    if not any(k >= 0 for k, *_ in found):
         raise RobotError(f"{path.name} holds no collision geometry of the arm")
-    return Capsules(np.array(link), np.array(ends), np.array(radius), tuple(names))
+    link, ends, radius, names = zip(*found, strict=True)
+    return Capsules(np.array(link), np.array(ends), np.array(radius), names)
 
 
 _STL_HEAD = 84  # bytes before the first triangle of a binary STL file

@@ -64,14 +64,11 @@ def link_spread(inertial: Array) -> Array:
     scale is therefore at least a third of the link's radius of gyration.
     """
     scale = np.zeros_like(inertial)
-    for k, link in enumerate(inertial):
-        mass = link[0]
-        if mass <= 0:
-            continue
-        centre = link[1:4] / mass
-        own = np.trace(central_inertia(link)[2]) / 2
+    for k in np.flatnonzero(inertial[:, 0] > 0):
+        mass, center, about = central_inertia(inertial[k])
+        own = np.trace(about) / 2
         radius = np.sqrt(max(own / mass, 1e-8))
         scale[k, 0] = mass
-        scale[k, 1:4] = mass * np.maximum(np.abs(centre), radius / 3)
-        scale[k, 4:] = own / 2 + mass * (centre @ centre) + 1e-9
+        scale[k, 1:4] = mass * np.maximum(np.abs(center), radius / 3)
+        scale[k, 4:] = own / 2 + mass * (center @ center) + 1e-9
     return scale
