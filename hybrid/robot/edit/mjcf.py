@@ -1,6 +1,6 @@
 """Edit numbers in an arm's MJCF file; all other bytes stay unchanged."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -171,38 +171,29 @@ def _structure(
     document: Document, model: Any, robot: Robot, structure: Sequence[Structure]
 ) -> None:
     """Add the joints, tendons and constraints that functions add to a spec."""
-    spec = robot.mujoco_spec()
+    spec = robot.mujoco_spec()  # each body has one joint
     before = ElementTree.fromstring(spec_text(spec))
     for add in structure:
         add(spec, robot.joints)
     after = ElementTree.fromstring(spec_text(spec))
     names, added = joint_names(model), []
-    for name, own in _new_joints(before, after):
-        tag, j = joint_tag(document, name), names.index(name)
-        unit = turn_unit(document, own.get("type") == "slide")
-        given = {**_DEFAULTS, **own.attrib, "pos": model.jnt_pos[j]}
-        for key in ("range", "ref", "springref"):
-            if key in own.attrib:
-                given[key] = unit * np.array(own.attrib[key].split(), dtype=float)
-        document.insert_after(tag, element("joint", given))
-        added.append(j)
+    for body in after.iter("body"):
+        joints = body.findall("joint")
+        for own in joints[1:]:
+            name = joints[0].get("name", "")
+            tag, j = joint_tag(document, name), names.index(name)
+            unit = turn_unit(document, own.get("type") == "slide")
+            given = {**_DEFAULTS, **own.attrib, "pos": model.jnt_pos[j]}
+            for key in ("range", "ref", "springref"):
+                if key in own.attrib:
+                    given[key] = unit * np.array(own.attrib[key].split(), dtype=float)
+            document.insert_after(tag, element("joint", given))
+            added.append(j)
     known = {child.tag for child in before}
     for section in after:
         if section.tag not in known and section.tag != "default":
             document.append(ElementTree.tostring(section, encoding="unicode").strip())
     _extend_keyframes(document, model, sorted(added, reverse=True))
-
-
-def _new_joints(
-    before: ElementTree.Element, after: ElementTree.Element
-) -> Iterator[tuple[str, ElementTree.Element]]:
-    """New joints, each with the name of the joint before it."""
-    known = {joint.get("name") for joint in before.iter("joint")}
-    for body in after.iter("body"):
-        first = body.find("joint")
-        for joint in body.findall("joint"):
-            if first is not None and joint.get("name") not in known:
-                yield str(first.get("name")), joint
 
 
 def _extend_keyframes(document: Document, model: Any, added: Sequence[int]) -> None:
