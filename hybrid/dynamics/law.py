@@ -100,8 +100,9 @@ class Law:
         self, templates: Mapping[str, str], names: Mapping[str, Any]
     ) -> Callable[..., Any]:
         """Compile; the text has only operations and numbers, and no name of a file."""
-        found = {x.arguments: k for k, x in enumerate(self.tape.lines)}
-        given = [f"x{found.get((x,), f'_{k}')}" for k, x in enumerate(self.inputs)]
+        found = {x.arguments[0]: k for k, x in enumerate(self.tape.lines)
+                 if x.name == "input"}  # fmt: skip
+        given = (f"x{found.get(x, f'_unused_{k}')}" for k, x in enumerate(self.inputs))
         lines = "".join(f"    {line}\n" for line in self._lines(templates))
         space: dict[str, Any] = {**names, **_SPECIAL}
         exec(f"def law({', '.join(given)}):\n{lines}", space)

@@ -75,9 +75,7 @@ def move_assets(document: Document, home: Path, folder: Path) -> None:
     named = any("file" in t.attributes for t in document.tags if t.path[-1] in assets)
     if home == folder or not named:
         return
-    given: dict[str, str] = {}
-    for tag in document.find("mujoco", "compiler"):
-        given |= tag.attributes
+    given = _compiler(document)
     both = given.get("assetdir", "")
     new = {
         name: relative_path(given.get(name, both) or ".", home, folder)
@@ -125,10 +123,16 @@ def _inertial(document: Document, tag: Tag, body: Body) -> None:
 
 def turn_unit(document: Document, slides: bool) -> float:
     """Factor from radians to the file's unit of angle; 1 for a joint that slides."""
-    angle = "degree"
-    for tag in document.find("mujoco", "compiler"):
-        angle = tag.attributes.get("angle", angle)
+    angle = _compiler(document).get("angle", "degree")
     return 1.0 if slides or angle == "radian" else 180.0 / np.pi
+
+
+def _compiler(document: Document) -> dict[str, str]:
+    """Attributes of all ``compiler`` elements; those of a later one count."""
+    found: dict[str, str] = {}
+    for tag in document.find("mujoco", "compiler"):
+        found |= tag.attributes
+    return found
 
 
 def _joint(
