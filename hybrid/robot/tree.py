@@ -15,6 +15,7 @@ from hybrid.robot.chain import MOST_JOINTS, Chain
 from hybrid.robot.spatial import central_inertia, inertia_fault, inertial_about
 
 _BASE = -1
+_ROUNDING = 1e-14  # error of a central inertia, of that about the joint
 Body = tuple[float, Array, Array]  # mass, centre (3,), inertia about it (3, 3)
 
 
@@ -202,6 +203,8 @@ def _check_link(name: str, inertial: Array) -> None:
             "joints without it"
         )
     mass, _, about = central_inertia(inertial)
+    rounding = _ROUNDING * np.abs(inertial[4:]).max()
+    about = np.where(np.abs(about) < rounding, 0.0, about)
     if fault := inertia_fault(mass, about):
         raise RobotError(f"link {name!r} {fault}")
 
