@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS, random_arm
+from scipy.spatial.transform import Rotation
 from scipy.stats import beta
 from scipy.stats import f as fisher
 from scipy.stats import t as student
@@ -32,11 +33,10 @@ from hybrid.calibration.steps import Frame, Step, follow, free_frame, start
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import CalibrationError
 from hybrid.robot import Robot
-from hybrid.robot.spatial import rotation_from_axis_angle
 
 
 def turned(angle, axis=2):
-    return rotation_from_axis_angle(np.eye(3)[axis], angle)
+    return Rotation.from_rotvec(angle * np.eye(3)[axis]).as_matrix()
 
 
 # --- poses ----------------------------------------------------------------------------
@@ -207,12 +207,7 @@ def test_noise_of_each_kind_is_found_beside_the_estimates():
     data = measured(disturbed(coman().chain), q, "pose")
     rng = np.random.default_rng(5)
     noisy = replace(data, position=data.position + 2e-4 * rng.normal(size=(80, 1, 3)))
-    turns = np.stack(
-        [
-            rotation_from_axis_angle(w / np.linalg.norm(w), np.linalg.norm(w))
-            for w in 1e-3 * rng.normal(size=(80, 3))
-        ]
-    )
+    turns = Rotation.from_rotvec(1e-3 * rng.normal(size=(80, 3))).as_matrix()
     noisy = replace(noisy, rotation=turns @ data.rotation)
     found = calibrate(coman(), noisy)
     assert found.solution.noise["position"] == pytest.approx(2e-4, rel=0.15)
@@ -357,7 +352,7 @@ def test_rows_lead_where_the_arm_does_in_every_posture(chain):
         for j, angle in enumerate(x):
             p, R = p + R @ chain.translation[j], R @ chain.rotation[j]
             if chain.revolute[j]:
-                R = R @ rotation_from_axis_angle(chain.axis[j], angle)
+                R = R @ Rotation.from_rotvec(angle * chain.axis[j]).as_matrix()
             else:
                 p = p + R @ chain.axis[j] * angle
         np.testing.assert_allclose(here.origin[k], p, atol=1e-9)

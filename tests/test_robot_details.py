@@ -7,6 +7,7 @@ import pytest
 from pendulum import pendulum
 from scipy.spatial.transform import Rotation
 
+from hybrid.robot import Robot
 from hybrid.robot.build import simulable
 
 ZERO = np.zeros((9, 2))
@@ -60,3 +61,21 @@ def test_rounding_of_a_flat_link_is_mended_by_little_and_a_wrong_one_stays(size)
             np.testing.assert_allclose(after, moments, rtol=1e-7)
         else:
             np.testing.assert_array_equal(found, inertia)
+
+
+@pytest.mark.parametrize(
+    ("mass", "place"),
+    [(1486.0, "25.1 33 8.5"), (105.2, "3.5 34.8 25.3"), (1329.7, "-37.7 -30.1 13.6")],
+)
+def test_a_point_mass_far_from_its_joint_is_physical(mass, place, tmp_path):
+    """Its inertia about the joint has rounding errors, which are not its own."""
+    (tmp_path / "crane.urdf").write_text(
+        '<robot name="crane"><link name="base"/><link name="load"><inertial>'
+        f'<origin xyz="{place}" rpy="0.3 0.2 0.1"/><mass value="{mass}"/>'
+        '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial></link>'
+        '<joint name="turn" type="continuous"><parent link="base"/>'
+        '<child link="load"/></joint></robot>'
+    )
+    chain = Robot.load(tmp_path / "crane.urdf").chain
+    at = np.array(place.split(), dtype=float)
+    assert chain.inertial[0, 4] == pytest.approx(mass * (at[1] ** 2 + at[2] ** 2))

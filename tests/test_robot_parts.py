@@ -15,13 +15,11 @@ from hybrid.robot.build import _set_inertia, simulable
 from hybrid.robot.edit.drives import _edit, actuator_tags
 from hybrid.robot.edit.urdf_from_mjcf import _Writer
 from hybrid.robot.geometry import (
-    _box,
     _capsule_along,
     _covering,
-    _cylinder,
     _halved,
     _pieces,
-    _segment,
+    _points,
     _urdf_points,
 )
 from hybrid.robot.spatial import inertia_fault, inertial_about, link_spread
@@ -52,7 +50,7 @@ def test_every_point_is_in_its_capsule(seed, count):
 
 
 def test_a_capsule_along_a_tube_has_its_width_and_ends_a_width_before_it():
-    rim = _cylinder(0.2, 1.0)
+    rim, _ = _points("cylinder", 0.2, 1.0, np.zeros(3))
     (start, end), radius = _capsule_along(rim, np.array([0.0, 0.0, 1.0]))
     assert radius == pytest.approx(0.2 / np.cos(np.pi / 16), rel=2e-2)
     assert np.sort([start[2], end[2]]) == pytest.approx([-1.0, 1.0], abs=0.05)
@@ -63,11 +61,12 @@ def test_a_capsule_along_a_tube_has_its_width_and_ends_a_width_before_it():
 
 
 def test_shapes_are_points_with_a_ball_about_each():
-    np.testing.assert_array_equal(_segment(0.5), [[0, 0, -0.5], [0, 0, 0.5]])
-    box = _box(np.array([1.0, 2.0, 3.0]))
+    ends, ball = _points("capsule", 0.1, 0.5, np.zeros(3))
+    assert ball == 0.1 and ends.tolist() == [[0, 0, -0.5], [0, 0, 0.5]]
+    box, _ = _points("box", 0.0, 0.0, np.array([1.0, 2.0, 3.0]))
     assert len({tuple(x) for x in box}) == 8
     np.testing.assert_array_equal(np.abs(box), np.tile([1.0, 2.0, 3.0], (8, 1)))
-    rim = _cylinder(2.0, 0.5)
+    rim, _ = _points("cylinder", 2.0, 0.5, np.zeros(3))
     assert len(rim) == 32 and set(rim[:, 2]) == {-0.5, 0.5}
     edge = (rim[:16] + np.roll(rim[:16], 1, axis=0))[:, :2] / 2
     np.testing.assert_allclose(np.linalg.norm(edge, axis=1), 2.0)

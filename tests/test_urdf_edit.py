@@ -83,8 +83,8 @@ def test_only_what_is_edited_differs_in_a_file():
     document.set(document.root, {"k": 2})
     document.insert_child(b, "<c/>")
     document.insert_after(b, "<d/>")
-    document.append(document.root, "<e/>")
-    edited = text.replace(b"'1'", b'"2"').replace(b"\n</a", b"\n  <d/>\n<e/></a")
+    document.append("<e/>")
+    edited = text.replace(b"'1'", b'"2"').replace(b"\n</a", b"\n  <d/>\n  <e/>\n</a")
     edited = edited.replace(b'<b x="1"/>', b'<b x="1"><c/></b>')
     assert document.edited() == edited
 

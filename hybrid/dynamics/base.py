@@ -49,7 +49,13 @@ class BaseParameters:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Each combination in full, e.g. ``"Izz_1 + Iyy_2 − 0.2·mx_2"``, length b."""
-        return tuple(self._combination(k) for k in range(self.size))
+        names = list(self.kept_labels)
+        for k, column in np.argwhere(np.abs(self.mapping) > _NEGLIGIBLE):
+            if column != self.kept[k]:
+                factor = self.mapping[k, column]
+                size = f"{abs(factor):.4g}·".removeprefix("1·")
+                names[k] += f" {'+' if factor > 0 else '−'} {size}{self.labels[column]}"
+        return tuple(names)
 
     @property
     def kept_labels(self) -> tuple[str, ...]:
@@ -83,16 +89,6 @@ class BaseParameters:
                 found[label] = ", ".join(self.labels[self.kept[k]] for k in joined)
         return found
 
-    def _combination(self, k: int) -> str:
-        text = self.labels[self.kept[k]]
-        for column in np.flatnonzero(np.abs(self.mapping[k]) > _NEGLIGIBLE):
-            if column == self.kept[k]:
-                continue
-            factor = self.mapping[k, column]
-            size = f"{abs(factor):.4g}·".removeprefix("1·")
-            text += f" {'+' if factor > 0 else '−'} {size}{self.labels[column]}"
-        return text
-
 
 def inertial_labels(n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units of the 10n inertial parameters, e.g. ``"mx_2"``."""
@@ -108,10 +104,8 @@ def base_parameters(
     A column that depends on earlier ones is dropped, so the order of the columns
     decides which of several equivalent parameters is kept.
 
-    Args:
-        stacked: Columns on a motion that excites everything, shape (rows, p).
-        labels: Name of each column, length p.
-        units: Unit of each column, length p.
+    The columns are those on a motion that excites everything, shape (rows, p), with a
+    name and a unit for each.
     """
     norms = np.linalg.norm(stacked, axis=0)
     zero = norms <= norms.max() * 1e-12
@@ -129,14 +123,11 @@ def base_parameters(
         if size > _RANK_TOLERANCE:
             basis = np.column_stack([basis, rest / size])
             kept.append(column)
-    mapping = _mapping(basis.T @ R, kept, scale)
-    return BaseParameters(labels, units, tuple(kept), mapping, np.zeros(len(kept)))
-
-
-def _mapping(R: Array, kept: list[int], scale: Array) -> Array:
-    # Compare rounding errors in columns of unit length: in SI units 1e-6 may be the
-    # m·d² of links one millimetre apart.
-    mapping: Array = solve_triangular(R[:, kept], R)
+    R = basis.T @ R
+    mapping = np.asarray(solve_triangular(R[:, kept], R))
+    # Rounding errors are compared in columns of unit length: in SI units 1e-6 may be
+    # the m·d² of links one millimetre apart.
     mapping[np.abs(mapping) < _ROUNDING] = 0.0
     mapping[:, kept] = np.eye(len(kept))
-    return mapping * scale / scale[kept, None]
+    mapping = mapping * scale / scale[kept, None]
+    return BaseParameters(labels, units, tuple(kept), mapping, np.zeros(len(kept)))

@@ -59,12 +59,7 @@ class RigidBody:
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m].
 
-        It is linear in the change.
-
-        Args:
-            dq: Change of position, shape (N, n), [rad].
-            dv: Change of speed, shape (N, n), [rad/s].
-            da: Change of acceleration, shape (N, n), [rad/s²].
+        It is linear in the changes of position, speed and acceleration, (N, n) each.
         """
         total = np.zeros_like(self.motion.q)
         for j in range(self.chain.size):
@@ -114,7 +109,7 @@ class RigidBody:
             the base frame, about the origin of the link's frame.
         """
         if link not in self._known_wrenches:
-            _, origins, axes = self._frames
+            _, origins, axes = frames(self.chain, self.motion.q)
             columns = np.zeros((*self.motion.q.shape, 6))
             for j in range(link + 1):
                 if self.chain.revolute[j]:
@@ -124,10 +119,6 @@ class RigidBody:
                     columns[:, j, :3] = axes[j]
             self._known_wrenches[link] = columns
         return self._known_wrenches[link]
-
-    @cached_property
-    def _frames(self) -> tuple[Array, Array, Array]:
-        return frames(self.chain, self.motion.q)
 
     def _torque(self, q: Array, v: Array, a: Array) -> Array:
         return inverse_dynamics(self.chain, self.inertial, q, v, a)

@@ -13,9 +13,8 @@ def frames(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
     Positions q have shape (N, n), [rad]; the results have shapes (n, N, 3, 3),
     (n, N, 3) and (n, N, 3).
     """
-    count = len(q)
-    R, p = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
-    out: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
+    R, p = np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3))
+    found = []
     for k in range(chain.size):
         p = p + R @ chain.translation[k]
         R = R @ chain.rotation[k]
@@ -24,6 +23,6 @@ def frames(chain: Chain, q: Array) -> tuple[Array, Array, Array]:
             R = R @ Rotation.from_rotvec(q[:, k, None] * chain.axis[k]).as_matrix()
         else:
             p = p + axis * q[:, k, None]
-        for items, x in zip(out, (R, p, axis), strict=True):
-            items.append(x)
-    return np.stack(out[0]), np.stack(out[1]), np.stack(out[2])
+        found.append((R, p, axis))
+    turns, origins, axes = map(np.stack, zip(*found, strict=True))
+    return turns, origins, axes

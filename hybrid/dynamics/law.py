@@ -26,7 +26,6 @@ _SCALAR_TEMPLATES = _ARRAY_TEMPLATES | {
     "where": "{1} if {0} else {2}",
     "minimum": "{0} if {0} < {1} else {1}", "maximum": "{0} if {0} > {1} else {1}",
 }  # fmt: skip
-_MATH = {"power": "pow"}  # NumPy's name -> that of the module math
 _FEW_SAMPLES = 16  # so few samples are faster one by one
 _CHUNK = 4096  # samples at a time, which stay in the cache
 _SPECIAL = {"inf": math.inf, "nan": math.nan}
@@ -88,8 +87,8 @@ class Law:
 
     @cached_property
     def _numbers(self) -> Callable[..., Any]:
-        names = {x: getattr(math, _MATH.get(x, x), None) for x in OPERATIONS}
-        return self._function(_SCALAR_TEMPLATES, names)
+        names = {x: getattr(math, x, None) for x in OPERATIONS}
+        return self._function(_SCALAR_TEMPLATES, names | {"power": math.pow})
 
     @cached_property
     def _arrays(self) -> Callable[..., Any]:
@@ -113,7 +112,7 @@ class Law:
     def _lines(self, templates: Mapping[str, str]) -> Iterator[str]:
         """Assignments; a value is deleted as soon as it is not needed."""
         tape, needed = self.tape, self.tape.needed(self.results)
-        last = {x: line for line in needed for x in _lines_of(tape, line)}
+        last = {x: line for line in needed for x in tape.arguments(line)}
         kept = {x.line for x in self.results if isinstance(x, Symbol)}
         pairs = self._pairs if templates is _ARRAY_TEMPLATES else {}
         for line in needed:
@@ -125,7 +124,7 @@ class Law:
             elif line not in pairs and name != "input":
                 call = f"{name}({', '.join(['{}'] * len(given))})"
                 yield f"x{line} = {templates.get(name, call).format(*given)}"
-            for x in set(_lines_of(tape, line)) - kept:
+            for x in set(tape.arguments(line)) - kept:
                 if last[x] == line:
                     yield f"del x{x}"
         results = (
@@ -155,11 +154,3 @@ def sine_cosine(x: Array) -> tuple[Array, Array]:
     square = t * t
     share = 1.0 / (1.0 + square)
     return (t + t) * share, (1.0 - square) * share
-
-
-def _lines_of(tape: Tape, line: int) -> list[int]:
-    """Lines that are arguments of a line."""
-    operation = tape.lines[line]
-    if operation.name == "input":
-        return []
-    return [x for x in operation.arguments if isinstance(x, int)]

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.robot.chain import Chain
+from hybrid.robot.spatial import INERTIA
 
 _ROWS, _COLUMNS = np.tril_indices(4)[::-1]  # upper triangle, column by column
 _STACKING = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(2.0))  # keeps the inner product
+# Negative eigenvalue of a pseudo-inertia whose mass and tr(Σ) are one.
+_ROUNDING = 1e-12
 _DENSITY = 1000.0  # kg/m³, of a link without a mass in its file
 _LEAST_WIDTH = 0.05  # of the usual width, for a link as thin as a rod
 
@@ -21,22 +24,13 @@ _LEAST_WIDTH = 0.05  # of the usual width, for a link as thin as a rod
 def pseudo_inertia(inertial: Array) -> Array:
     """Pseudo-inertia [[Σ, m c], [(m c)ᵀ, m]], with Σ = ½ tr(I)·1 − I.
 
-    Args:
-        inertial: Parameters about the link frame in the order of
-            :data:`~hybrid.robot.chain.INERTIAL_NAMES`, shape (..., 10).
-
-    Returns:
-        Shape (..., 4, 4), in [kg·m²], [kg·m] and [kg].
+    Parameters in the order of :data:`~hybrid.robot.chain.INERTIAL_NAMES`, shape
+    (..., 10), become matrices, shape (..., 4, 4), in [kg·m²], [kg·m] and [kg].
     """
     inertial = np.asarray(inertial, dtype=float)
+    about = inertial[..., INERTIA]
     J = np.empty((*inertial.shape[:-1], 4, 4))
-    xx, xy, yy, xz, yz, zz = np.moveaxis(inertial[..., 4:], -1, 0)
-    J[..., 0, 0] = (yy + zz - xx) / 2
-    J[..., 1, 1] = (xx + zz - yy) / 2
-    J[..., 2, 2] = (xx + yy - zz) / 2
-    J[..., 0, 1] = J[..., 1, 0] = -xy
-    J[..., 0, 2] = J[..., 2, 0] = -xz
-    J[..., 1, 2] = J[..., 2, 1] = -yz
+    J[..., :3, :3] = _trace(about) / 2 * np.eye(3) - about
     J[..., :3, 3] = J[..., 3, :3] = inertial[..., 1:4]
     J[..., 3, 3] = inertial[..., 0]
     return J
@@ -44,30 +38,29 @@ def pseudo_inertia(inertial: Array) -> Array:
 
 def inertial_from_pseudo(J: Array) -> Array:
     """Inverse of :func:`pseudo_inertia`: shape (..., 4, 4) to (..., 10)."""
-    xx, yy, zz = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
-    about = [yy + zz, -J[..., 0, 1], xx + zz, -J[..., 0, 2], -J[..., 1, 2], xx + yy]
-    return np.stack([J[..., 3, 3], *np.moveaxis(J[..., :3, 3], -1, 0), *about], axis=-1)
+    second = J[..., :3, :3]
+    about = _trace(second) * np.eye(3) - second
+    rows, columns = np.tril_indices(3)
+    return np.concatenate([J[..., 3, 3:], J[..., 3, :3], about[..., rows, columns]], -1)
 
 
-def is_consistent(inertial: Array, tolerance: float = 1e-12) -> NDArray[np.bool_]:
-    """Whether each link is physically consistent, shape (...).
+def _trace(matrix: Array) -> Array:
+    return np.asarray(np.trace(matrix, axis1=-2, axis2=-1))[..., None, None]
+
+
+def is_consistent(inertial: Array) -> NDArray[np.bool_]:
+    """Whether each link, shape (..., 10), is physically consistent, shape (...).
 
     Point masses and rods, which have no width in some direction, are consistent.
-
-    Args:
-        inertial: Link parameters, shape (..., 10).
-        tolerance: Negative eigenvalue of the pseudo-inertia that counts as rounding
-            error, in units in which mass and tr(Σ) are one.
     """
     J = pseudo_inertia(inertial)
     mass = J[..., 3, 3]
-    second = np.trace(J[..., :3, :3], axis1=-2, axis2=-1)
-    unit = np.ones(J.shape[:-1])
-    unit[..., :3] = np.sqrt(np.abs(second))[..., None]
-    unit[..., 3] = np.sqrt(np.abs(mass))
-    unit = np.where(unit > 0, unit, 1.0)
+    unit = np.empty(J.shape[:-1])
+    unit[..., :3] = _trace(J[..., :3, :3])[..., 0]
+    unit[..., 3] = mass
+    unit = np.where(unit == 0, 1.0, np.sqrt(np.abs(unit)))
     smallest = np.linalg.eigvalsh(J / unit[..., None] / unit[..., None, :])[..., 0]
-    return np.asarray((smallest >= -tolerance) & (mass > 0))
+    return np.asarray((smallest >= -_ROUNDING) & (mass > 0))
 
 
 def stacked(J: Array) -> Array:
@@ -97,10 +90,6 @@ def nominal_bodies(chain: Chain, inertial: Array) -> Array:
     A link that is not physically consistent becomes a body as wide as a quarter of its
     length, about its centre of mass. Without a mass, it has the density of water and
     lies half-way to the next joint. Links as thin as a rod get some width.
-
-    Args:
-        chain: The arm, for the lengths of its links.
-        inertial: Parameters from the robot file, shape (n, 10).
     """
     ahead = np.vstack([chain.translation[1:], np.zeros(3)])
     length = np.linalg.norm(ahead, axis=1)

@@ -39,27 +39,18 @@ def inverse_dynamics(
     return _torque_law(_Arm(chain)).along((q, v, a), constants)
 
 
-def regressor(
-    chain: Chain, q: Array, v: Array, a: Array, which: Sequence[int] | None = None
-) -> Array:
-    """Torque per unit of all inertial parameters, or of some.
+def regressor(chain: Chain, q: Array, v: Array, a: Array) -> Array:
+    """Torque per unit of each inertial parameter along a motion.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
-        which: Wanted columns out of the 10n, length c; all by default.
+    The motion is that of :func:`inverse_dynamics`.
 
     Returns:
-        Y, shape (N, n, c), link by link in the order of ``INERTIAL_NAMES``, or in that
-        of ``which``. It is a view of an array of shape (n, c, N).
+        Y, shape (N, n, 10n), link by link in the order of ``INERTIAL_NAMES``. It is a
+        view of an array of shape (n, 10n, N).
     """
     n = chain.size
-    columns = np.arange(10 * n) if which is None else np.array(which, dtype=int)
-    entries = (10 * n * np.arange(n)[:, None] + columns).ravel()
-    rows = regressor_law(chain, tuple(entries.tolist())).rows((q, v, a))
-    return rows.reshape(n, len(columns), len(q)).transpose(2, 0, 1)
+    rows = regressor_law(chain, tuple(range(10 * n * n))).rows((q, v, a))
+    return rows.reshape(n, 10 * n, len(q)).transpose(2, 0, 1)
 
 
 def regressor_law(chain: Chain, entries: tuple[int, ...]) -> Law:
@@ -72,13 +63,8 @@ def regressor_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of ``sum(weight * regressor(chain, q, v, a))`` by the motion.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
-        weight: Weight of each entry of the regressor, shape (N, n, 10n). Entries of
-            joints beyond a link have no effect.
+    The weight of each entry of the regressor has shape (N, n, 10n); entries of joints
+    beyond a link have no effect.
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).
@@ -95,13 +81,8 @@ def torque_gradient(
 ) -> tuple[Array, Array, Array]:
     """Derivatives of one joint's rigid-body torque in each sample by the motion.
 
-    Args:
-        chain: The arm.
-        q: Positions, shape (N, n), [rad].
-        v: Speeds, shape (N, n), [rad/s].
-        a: Accelerations, shape (N, n), [rad/s²].
-        inertial: Link parameters, shape (n, 10).
-        joint: Index of the joint in each sample, shape (N,).
+    ``joint`` is the index of the joint in each sample, shape (N,); the other arguments
+    are those of :func:`inverse_dynamics`.
 
     Returns:
         Derivatives by q, v and a, each of shape (N, n).
@@ -131,11 +112,11 @@ class _Arm:
 def _torque_law(arm: _Arm) -> Law:
     """Torque from q, v and a, then ten parameters of each link, then gravity."""
     tape, n = Tape(), arm.chain.size
-    names, (q, v, a) = _motion(tape, n)
-    links = [[tape.input(f"link[{k}, {i}]") for i in range(10)] for k in range(n)]
-    gravity = [tape.input(f"gravity[{c}]") for c in range(3)]
-    names += [f"link[{k}, {i}]" for k in range(n) for i in range(10)]
+    names = [*_motion_names(n), *(f"link[{i}]" for i in range(10 * n))]
     names += [f"gravity[{c}]" for c in range(3)]
+    given = _inputs(tape, names)
+    q, v, a = given[: 3 * n].reshape(3, n)
+    links, gravity = given[3 * n : -3].reshape(n, 10), given[-3:]
     torque = newton_euler(arm.chain, links, gravity, q=q, v=v, a=a)
     return Law(tape, tuple(torque), tuple(names))
 
@@ -143,10 +124,10 @@ def _torque_law(arm: _Arm) -> Law:
 @lru_cache(maxsize=_MOST_ARMS)
 def _regressor_tape(arm: _Arm) -> tuple[Tape, list[str], list[Any]]:
     """Tape, names of its inputs, and the n · 10n entries of the regressor."""
-    tape = Tape()
-    names, (q, v, a) = _motion(tape, arm.chain.size)
-    rows = unit_torques(arm.chain, q=q, v=v, a=a)
-    return tape, names, [x for row in rows for x in row]
+    tape, names = Tape(), _motion_names(arm.chain.size)
+    q, v, a = _inputs(tape, names).reshape(3, -1)
+    torque = unit_torques(arm.chain, q=q, v=v, a=a)
+    return tape, names, torque.ravel().tolist()
 
 
 @lru_cache(maxsize=_MOST_ARMS)
@@ -161,13 +142,14 @@ def _gradient_law(arm: _Arm) -> tuple[Law, list[int]]:
     tape, names, every = _regressor_tape(arm)
     entries = [k for k, x in enumerate(every) if isinstance(x, Symbol)]
     weights = [f"weight[{k}]" for k in entries]
-    seeds, motion = map(tape.input, weights), map(tape.input, names)
-    found = tape.gradient([every[k] for k in entries], list(seeds), list(motion))
+    seeds, motion = _inputs(tape, weights), _inputs(tape, names)
+    found = tape.gradient([every[k] for k in entries], seeds, motion)
     return Law(tape, tuple(found), (*names, *weights)), entries
 
 
-def _motion(tape: Tape, n: int) -> tuple[list[str], tuple[list[Any], ...]]:
-    """Names and symbols of the inputs q, v and a."""
-    names = [f"{x}[{j}]" for x in "qva" for j in range(n)]
-    given = [tape.input(name) for name in names]
-    return names, (given[:n], given[n : 2 * n], given[2 * n :])
+def _motion_names(n: int) -> list[str]:
+    return [f"{x}[{j}]" for x in "qva" for j in range(n)]
+
+
+def _inputs(tape: Tape, names: Sequence[str]) -> Any:
+    return np.array([tape.input(name) for name in names], dtype=object)

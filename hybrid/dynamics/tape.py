@@ -78,27 +78,20 @@ class Tape:
 
     def needed(self, results: Sequence[Any]) -> list[int]:
         """Lines on which the results depend, in order."""
-        marked = [False] * len(self.lines)
-        for x in results:
-            if isinstance(x, Symbol):
-                marked[x.line] = True
+        found = {x.line for x in results if isinstance(x, Symbol)}
         for line in reversed(range(len(self.lines))):
-            if marked[line] and self.lines[line].name != "input":
-                for x in self.lines[line].arguments:
-                    if isinstance(x, int):
-                        marked[x] = True
-        return [line for line, needed in enumerate(marked) if needed]
+            if line in found:
+                found.update(self.arguments(line))
+        return sorted(found)
+
+    def arguments(self, line: int) -> list[int]:
+        """Lines that are arguments of a line."""
+        return [x for x in self.lines[line].arguments if isinstance(x, int)]
 
     def gradient(
         self, results: Sequence[Symbol], seeds: Sequence[Any], inputs: Sequence[Symbol]
     ) -> list[Any]:
-        """Derivatives of ``sum(seed * result)`` by inputs, by reverse differentiation.
-
-        Args:
-            results: Symbols of the tape.
-            seeds: Factor of each result.
-            inputs: Inputs of the tape.
-        """
+        """Derivatives of ``sum(seed * result)`` by inputs, in reverse mode."""
         slope: dict[int, Any] = {}
 
         def add(line: int, x: Any) -> None:
@@ -161,19 +154,13 @@ def _simplified(name: str, x: list[Any]) -> Any:
         for _ in range(int(x[1]) - 1):
             product = product * x[0]
         return product
-    if name == "add" and 0.0 in x:
-        return x[1] if x[0] == 0.0 else x[0]
-    if name == "multiply" and 0.0 in x:
-        return 0.0
-    if name == "multiply" and 1.0 in x:
-        return x[1] if x[0] == 1.0 else x[0]
-    if name == "subtract" and x[1] == 0.0 or name == "divide" and x[1] == 1.0:
-        return x[0]
-    if name == "divide" and x[0] == 0.0:
-        return 0.0
-    opposite = (name == "multiply" and -1.0 in x) or (
-        name == "subtract" and x[0] == 0.0
-    )
-    if opposite:
-        return -(x[0] if isinstance(x[0], Symbol) else x[1])
+    match name, x:
+        case ("add", [0.0, y] | [y, 0.0]) | ("multiply", [1.0, y] | [y, 1.0]):
+            return y
+        case ("subtract", [y, 0.0]) | ("divide", [y, 1.0]):
+            return y
+        case ("multiply", [0.0, _] | [_, 0.0]) | ("divide", [0.0, _]):
+            return 0.0
+        case ("multiply", [-1.0, y] | [y, -1.0]) | ("subtract", [0.0, y]):
+            return -y
     return None

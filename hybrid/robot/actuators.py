@@ -95,10 +95,8 @@ def servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
     """
     kp, kd = np.zeros((2, model.njnt))
     for a, joint, gear in drives_of(model):
-        gain, (constant, stiffness, damping) = (
-            model.actuator_gainprm[a, 0],
-            model.actuator_biasprm[a, :3],
-        )
+        gain = model.actuator_gainprm[a, 0]
+        constant, stiffness, damping = model.actuator_biasprm[a, :3]
         servo = (
             model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE

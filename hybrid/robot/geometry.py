@@ -73,7 +73,7 @@ def capsules_from_robot(robot: Robot) -> Capsules:
         raise RobotError(f"{path.name} has not all joints of {robot.name}")
     places, _ = tree.places(robot.joints, robot.held)
     where = {n.body: place for n, place in zip(tree.nodes, places, strict=True)}
-    link, ends, radius, names = [], [], [], []
+    found = []
     for body, points, extra, name in pieces:
         k, R, p = where[body]
         if not np.abs(points).max(initial=extra) < _FARTHEST:
@@ -81,13 +81,11 @@ def capsules_from_robot(robot: Robot) -> Capsules:
                 f"{path.name}: {printable(name)!r} reaches {_FARTHEST:g} m or more"
             )
         segment, r = _covering(points @ R.T + p)
-        link.append(k)
-        ends.append(segment)
-        radius.append(r + extra)
-        names.append(name)
-    if not any(k >= 0 for k in link):
+        found.append((k, segment, r + extra, name))
+    if not any(k >= 0 for k, *_ in found):
         raise RobotError(f"{path.name} holds no collision geometry of the arm")
-    return Capsules(np.array(link), np.array(ends), np.array(radius), tuple(names))
+    link, ends, radius, names = zip(*found, strict=True)
+    return Capsules(np.array(link), np.array(ends), np.array(radius), names)
 
 
 _STL_HEAD = 84  # bytes before the first triangle of a binary STL file
@@ -124,10 +122,15 @@ def _points(kind: str, radius: float, half: float, box: Array) -> tuple[Array, f
     if kind == "sphere":
         return np.zeros((1, 3)), radius
     if kind == "capsule":
-        return _segment(half), radius
+        return np.array([[0, 0, -half], [0, 0, half]]), radius
     if kind == "cylinder":
-        return _cylinder(radius, half), 0.0
-    return _box(box), 0.0
+        angle = np.arange(_CIRCLE) * 2 * np.pi / _CIRCLE
+        wide = radius / np.cos(np.pi / _CIRCLE)  # the polygon lies outside the circle
+        rim = wide * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        ends = [np.insert(rim, 2, z, axis=1) for z in (-half, half)]
+        return np.concatenate(ends), 0.0
+    signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+    return np.asarray(signs * box), 0.0
 
 
 def _mesh_file(name: str, path: Path) -> Path:
@@ -180,22 +183,6 @@ def _mjcf_pieces(model: Any) -> Iterator[Piece]:
         for points, extra in clouds:
             name = model.geom(g).name or f"geom_{g}"
             yield body, points @ R.T + model.geom_pos[g], extra, name
-
-
-def _segment(half: float) -> Array:
-    return np.array([[0, 0, -half], [0, 0, half]])
-
-
-def _cylinder(radius: float, half: float) -> Array:
-    angle = np.arange(_CIRCLE) * 2 * np.pi / _CIRCLE
-    wide = radius / np.cos(np.pi / _CIRCLE)  # the polygon lies outside the circle
-    rim = wide * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.concatenate([np.insert(rim, 2, z, axis=1) for z in (-half, half)])
-
-
-def _box(half: Array) -> Array:
-    signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
-    return np.asarray(signs * half)
 
 
 def _pieces(points: Array, triangles: np.ndarray) -> Iterator[Array]:

@@ -77,14 +77,18 @@ def _cached(name: str, repository: str) -> Path:
 
     The module of a description would download its repository otherwise.
     """
+    import git
+
     known = import_module(f"{_DESCRIPTIONS}._repositories").REPOSITORIES[repository]
     cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
     folder = Path(cache).expanduser() / known.cache_path
-    if not _has_commit(folder, known.commit):
+    try:
+        git.Repo(folder).git.rev_parse("--verify", f"{known.commit}^{{commit}}")
+    except git.exc.GitError as error:
         raise RobotError(
             f"{name}: not in the cache of {_DESCRIPTIONS}; run `python -m "
             f"{_DESCRIPTIONS} pull {name}` once"
-        )
+        ) from error
     module = import_module(f"{_DESCRIPTIONS}.{name}")
     for kind in ("MJCF_PATH", "URDF_PATH"):
         if hasattr(module, kind):
@@ -98,14 +102,3 @@ def _cached(name: str, repository: str) -> Path:
     except Exception as error:  # xacro raises any type for a template
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise RobotError(f"{name}: xacro cannot expand it ({reason})") from error
-
-
-def _has_commit(folder: Path, commit: str) -> bool:
-    """Tell whether a folder is a Git repository with a commit."""
-    import git
-
-    try:
-        git.Repo(folder).git.rev_parse("--verify", f"{commit}^{{commit}}")
-    except git.exc.GitError:
-        return False
-    return True

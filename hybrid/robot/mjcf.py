@@ -20,7 +20,6 @@ from hybrid.robot.actuators import (
     through_gears,
     torque_limit,
 )
-from hybrid.robot.spatial import rotation_from_axis_angle
 from hybrid.robot.tree import Node, Tree, serial_joints
 
 _FREE, _BALL, _SLIDE, _HINGE = range(4)  # mjtJoint
@@ -48,7 +47,13 @@ def fields_of_mujoco(
     places, _ = tree.places(keep, held)
     bodies = [n.body for n, p in zip(tree.nodes, places, strict=True) if p.link >= 0]
     moved = [body for body in bodies if body is not None]
-    _check_inertias(model, moved, missing_inertia)
+    for body in moved:
+        if body in missing_inertia:
+            raise RobotError(
+                f"link {model.body(body).name or body!r} has no inertia of its own, "
+                f"and its mesh {missing_inertia[body]!r} is missing; add the mesh or "
+                "an <inertial>"
+            )
     gravity = _gravity(model, index, moved)
     armature = model.dof_armature + through_gears(model, "armature")
     falling = bristles(model, index)[:, [0, 2, 3]]
@@ -146,14 +151,10 @@ def _coupled(model: Any, index: list[int]) -> np.ndarray:
     for t, own, ratio in sum_tendons(model):
         if len(own) == 2 and {*own} <= {*index}:
             pair = tuple(sorted(index.index(j) for j in own))
-            forces = np.array(
-                [
-                    ratio**2 * model.tendon_armature[t],
-                    ratio**2 * damper * model.tendon_damping[t],
-                    ratio * dry * model.tendon_frictionloss[t],
-                ]
-            )
-            found[pair] = found.get(pair, 0.0) + forces
+            inertia, damping = model.tendon_armature[t], model.tendon_damping[t]
+            friction = dry * model.tendon_frictionloss[t]
+            forces = np.array([ratio * inertia, ratio * damper * damping, friction])
+            found[pair] = found.get(pair, 0.0) + ratio * forces
     rows = [(*pair, *forces) for pair, forces in found.items() if forces.any()]
     return np.array(rows).reshape(-1, 5)
 
@@ -197,35 +198,16 @@ def mujoco_tree(model: Any, where: str | Path) -> Tree:
 def joint_frame(
     model: Any, joint: int, R: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frame of a hinge or slide at position zero.
+    """Frame of a hinge or slide at position zero, and its offset in the body, [m].
 
-    Args:
-        model: MuJoCo's model.
-        joint: The joint.
-        R: Rotation of the body at the joint's position in the file, shape (3, 3).
-        p: Position of the body there, shape (3,), [m].
-
-    Returns:
-        Rotation and position of the frame, and its offset in the body, [m].
+    The body has rotation R and position p, [m], at the joint's position in the file.
     """
     axis, offset = model.jnt_axis[joint], model.jnt_pos[joint]
     back = -model.qpos0[model.jnt_qposadr[joint]]
     p = p + R @ offset
     if model.jnt_type[joint] == _HINGE:
-        return R @ rotation_from_axis_angle(axis, back), p, offset
+        return R @ Rotation.from_rotvec(back * axis).as_matrix(), p, offset
     return R, p + back * (R @ axis), offset
-
-
-def _check_inertias(
-    model: Any, moved: list[int], missing_inertia: Mapping[int, str]
-) -> None:
-    for body in moved:
-        if body in missing_inertia:
-            raise RobotError(
-                f"link {model.body(body).name or body!r} has no inertia of its own, "
-                f"and its mesh {missing_inertia[body]!r} is missing; add the mesh or "
-                "an <inertial>"
-            )
 
 
 def _gravity(model: Any, index: list[int], moved: list[int]) -> np.ndarray:

@@ -18,11 +18,7 @@ def compile_file(path: str | Path) -> Any:
 
 
 def compile_without_assets(path: str | Path) -> tuple[Any, Mapping[int, str]]:
-    """Compile a file whose meshes, pictures and height fields may be missing.
-
-    Returns:
-        The model, and the missing mesh file that each body needs for its inertia.
-    """
+    """Compile a file whose meshes may be missing, as :func:`compile_spec` does."""
     try:
         return compile_file(path), {}
     except RobotError:

@@ -28,13 +28,12 @@ else:
     Source = Any  # pinocchio takes half a second
 
 _SPRINGS = ("quadratic", "cubic", "stiffness", "springref", "knee", "knee_speed")
-_SERVO = ("kp", "kd")
 _NEEDED = ("q_min", "q_max", "v_max", "tau_max", "damping", "frictionloss")
 # Arrays with a value for each joint, and the value of a joint without one.
 _VECTORS = {
     "q_min": -np.inf, "q_max": np.inf, "v_max": np.inf, "a_max": np.inf,
     "tau_max": np.inf, "damping": 0.0, "frictionloss": 0.0,
-    **dict.fromkeys(_SPRINGS, 0.0), **dict.fromkeys(_SERVO, np.nan),
+    **dict.fromkeys(_SPRINGS, 0.0), "kp": np.nan, "kd": np.nan,
 }  # fmt: skip
 _ROWS = {"ripple": 4, "falling": 3, "coupled": 5}  # numbers in a row
 
@@ -112,7 +111,7 @@ class Robot:
             if getattr(self, name).size == 0 and name not in _NEEDED:
                 object.__setattr__(self, name, np.full(self.size, none))
             x = getattr(self, name)
-            servo = name in _SERVO
+            servo = np.isnan(none)
             if x.shape != (self.size,) or ((x < 0) if servo else np.isnan(x)).any():
                 value = "one value, 0 or above or none," if servo else "one value"
                 raise RobotError(f"{name} needs {value} for each of {self.joints}")
@@ -158,8 +157,10 @@ class Robot:
         return robot
 
     def _warn_of_negative(self) -> None:
-        values = {"damping": self.damping, "dry friction": self.frictionloss}
-        values["rotor inertia"] = self.chain.armature
+        values = {
+            "damping": self.damping, "dry friction": self.frictionloss,
+            "rotor inertia": self.chain.armature,
+        }  # fmt: skip
         for name, x in values.items():
             for j in np.flatnonzero(x < 0).tolist():
                 warn(
@@ -203,15 +204,9 @@ class Robot:
         )
 
     def joint_torque(self, q: Array, v: Array, a: Array) -> Array:
-        """Torque of rotors, springs, ripple and friction, without dry friction.
+        """Torque of rotors, springs, ripple and friction, without dry friction, [N·m].
 
-        Args:
-            q: Position, shape (N, n), [rad].
-            v: Speed, shape (N, n), [rad/s].
-            a: Acceleration, shape (N, n), [rad/s²].
-
-        Returns:
-            Torque, shape (N, n), [N·m].
+        Position, speed and acceleration have the shape of the torque, (N, n).
         """
         speed = abs(v)
         friction = (self.damping + (self.quadratic + self.cubic * speed) * speed) * v
@@ -229,11 +224,7 @@ class Robot:
         return torque
 
     def dry_friction(self, v: Array) -> Array:
-        """Dry friction, including Stribeck friction, shape (N, n), [N·m].
-
-        Args:
-            v: Speed, shape (N, n), [rad/s].
-        """
+        """Dry friction at some speeds, with Stribeck friction, shape (N, n), [N·m]."""
         level = np.tile(self.frictionloss, (len(v), 1))
         for joint, height, speed in self.falling:
             level[:, int(joint)] += height * np.exp(-((v[:, int(joint)] / speed) ** 2))

@@ -4,6 +4,8 @@ import numpy as np
 
 from hybrid.arrays import Array
 
+# Places of the inertia matrix in the ten inertial parameters of a link.
+INERTIA = np.array([[4, 5, 7], [5, 6, 8], [7, 8, 9]])
 ROUNDED = 1.5e-5  # of a moment of inertia: rounding error of three six-digit numbers
 _SMALLEST = 1e-9  # kg·m²; rounding of smaller moments is ignored
 
@@ -15,28 +17,15 @@ def skew(x: Array) -> Array:
     )
 
 
-def rotation_from_axis_angle(axis: Array, angle: float) -> Array:
-    """Rotation by ``angle`` [rad] about the unit ``axis``, shape (3, 3)."""
-    k = skew(axis)
-    R: Array = np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
-    return R
-
-
 def inertial_about(mass: float, center: Array, inertia: Array) -> Array:
     """Ten inertial parameters of a body about the frame origin.
 
-    Args:
-        mass: Mass, [kg].
-        center: Centre of mass in the frame, shape (3,), [m].
-        inertia: Inertia about the centre of mass, frame axes, shape (3, 3), [kg·m²].
-
-    Returns:
-        (m, m·c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz), shape (10,).
+    They are (m, m·c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz); the argument is the inertia about
+    the centre of mass, shape (3, 3), [kg·m²].
     """
     k = skew(center)
     about = inertia - mass * (k @ k)
-    six = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return np.array([mass, *(mass * center), *six])
+    return np.array([mass, *(mass * center), *about[np.tril_indices(3)]])
 
 
 def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
@@ -50,18 +39,11 @@ def central_inertia(inertial: Array) -> tuple[float, Array, Array]:
     mass = float(inertial[0])
     center = inertial[1:4] / mass if mass > 0 else np.zeros(3)
     k = skew(center)
-    xx, xy, yy, xz, yz, zz = inertial[4:]
-    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return mass, center, about_origin + mass * (k @ k)
+    return mass, center, inertial[INERTIA] + mass * (k @ k)
 
 
 def inertia_fault(mass: float, about: Array) -> str:
-    """Say why a mass and an inertia are not physical; empty if they are.
-
-    Args:
-        mass: Mass, [kg].
-        about: Inertia about the centre of mass, shape (3, 3), [kg·m²].
-    """
+    """Say why mass and inertia about its centre are not physical; empty if they are."""
     size, moments = np.abs(about).max(), np.full(3, np.nan)
     if 0 <= size < np.inf:
         moments = np.linalg.eigvalsh(about / (size or 1.0)) * size
@@ -76,26 +58,17 @@ def inertia_fault(mass: float, about: Array) -> str:
 
 
 def link_spread(inertial: Array) -> Array:
-    """Scale of each link parameter, for relative errors.
+    """Scale of each link parameter, for relative errors, shape (n, 10).
 
     A coordinate of the centre of mass that is zero in the file may still be wrong. Its
     scale is therefore at least a third of the link's radius of gyration.
-
-    Args:
-        inertial: Link parameters, shape (n, 10).
-
-    Returns:
-        Scales in the parameters' units, shape (n, 10).
     """
     scale = np.zeros_like(inertial)
-    for k, link in enumerate(inertial):
-        mass = link[0]
-        if mass <= 0:
-            continue
-        centre = link[1:4] / mass
-        own = np.trace(central_inertia(link)[2]) / 2
+    for k in np.flatnonzero(inertial[:, 0] > 0):
+        mass, center, about = central_inertia(inertial[k])
+        own = np.trace(about) / 2
         radius = np.sqrt(max(own / mass, 1e-8))
         scale[k, 0] = mass
-        scale[k, 1:4] = mass * np.maximum(np.abs(centre), radius / 3)
-        scale[k, 4:] = own / 2 + mass * (centre @ centre) + 1e-9
+        scale[k, 1:4] = mass * np.maximum(np.abs(center), radius / 3)
+        scale[k, 4:] = own / 2 + mass * (center @ center) + 1e-9
     return scale

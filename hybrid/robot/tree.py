@@ -7,18 +7,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError, warn
 from hybrid.robot.chain import MOST_JOINTS, Chain
-from hybrid.robot.spatial import (
-    inertia_fault,
-    inertial_about,
-    rotation_from_axis_angle,
-    skew,
-)
+from hybrid.robot.spatial import central_inertia, inertia_fault, inertial_about
 
 _BASE = -1
+_ROUNDING = 1e-14  # error of a central inertia, of that about the joint
 Body = tuple[float, Array, Array]  # mass, centre (3,), inertia about it (3, 3)
 
 
@@ -73,11 +70,11 @@ class Place(NamedTuple):
     rotation: Array
     position: Array
 
-    def body(self, node: Node) -> Body:
-        """Body of a frame, in the frame of the link."""
+    def inertial(self, node: Node) -> Array:
+        """Ten parameters of a frame's body, in the frame of the link."""
         R = self.rotation
         center = self.position + R @ node.center
-        return node.mass, center, R @ node.inertia @ R.T
+        return inertial_about(node.mass, center, R @ node.inertia @ R.T)
 
 
 @dataclass(frozen=True)
@@ -146,14 +143,10 @@ class Tree:
     def places(
         self, joints: Sequence[str], held: Mapping[str, float]
     ) -> tuple[list[Place], list[Place]]:
-        """Find the place of each frame in the links of an arm.
+        """Place of each node in the arm, and of each joint's frame in the link before.
 
-        Args:
-            joints: Joints of the arm, base to tip.
-            held: Positions of other joints, if they differ from the file.
-
-        Returns:
-            Place of each node, and of each joint's frame in the link before it.
+        The arm's joints are given base to tip, and the positions of the others if they
+        differ from the file.
         """
         places: list[Place] = []
         frames: list[Place] = []
@@ -167,7 +160,7 @@ class Tree:
                 frames.append(Place(link, R, p))
                 link, R, p = len(frames) - 1, np.eye(3), np.zeros(3)
             elif node.joint and node.revolute:
-                R = R @ rotation_from_axis_angle(node.axis, at)
+                R = R @ Rotation.from_rotvec(at * node.axis).as_matrix()
             elif node.joint:
                 p = p + at * (R @ node.axis)
             places.append(Place(link, R, p))
@@ -182,13 +175,14 @@ class Tree:
     ) -> Chain:
         """Chain of an arm; bodies on held joints are part of its links."""
         places, frames = self.places(joints, held)
-        bodies: list[list[Body]] = [[] for _ in joints]
-        names = list(joints)  # names of links; a link without a body has the joint's
-        for node, place in zip(reversed(self.nodes), reversed(places), strict=True):
+        inertial = np.zeros((len(joints), 10))
+        names: dict[int, str] = {}  # of links with a body
+        for node, place in zip(self.nodes, places, strict=True):
             if place.link >= 0 and node.body is not None:
-                bodies[place.link].append(place.body(node))
-                names[place.link] = node.name
-        links = [_link(*x) for x in zip(names, bodies, strict=True)]
+                inertial[place.link] += place.inertial(node)
+                names.setdefault(place.link, node.name)
+        for k, name in sorted(names.items()):
+            _check_link(name, inertial[k])
         moved = {node.joint: node for node in self.nodes if node.joint}
         return Chain(
             joints=tuple(joints),
@@ -196,29 +190,23 @@ class Tree:
             translation=np.array([x.position for x in frames]),
             axis=np.array([moved[x].axis for x in joints]),
             revolute=np.array([moved[x].revolute for x in joints]),
-            inertial=np.array([inertial_about(*x) for x in links]),
+            inertial=inertial,
             gravity=gravity,
             armature=armature,
         )
 
 
-def _link(name: str, bodies: Sequence[Body]) -> Body:
-    """Combine bodies that move together, and check the inertia of the sum."""
-    mass = sum(m for m, _, _ in bodies)
-    center = sum((m * c for m, c, _ in bodies), np.zeros(3))
-    center = center / mass if mass > 0 else center
-    inertia = np.zeros((3, 3))
-    for m, c, own in bodies:
-        arm = skew(c - center)
-        inertia += own - m * (arm @ arm)
-    if bodies and mass == 0 and not inertia.any():
+def _check_link(name: str, inertial: Array) -> None:
+    if not inertial.any():
         raise RobotError(
             f"link {name!r} moves and has no inertia; give it an <inertial>, or choose "
             "joints without it"
         )
-    if fault := inertia_fault(mass, inertia):
+    mass, _, about = central_inertia(inertial)
+    rounding = _ROUNDING * np.abs(inertial[4:]).max()
+    about = np.where(np.abs(about) < rounding, 0.0, about)
+    if fault := inertia_fault(mass, about):
         raise RobotError(f"link {name!r} {fault}")
-    return mass, center, inertia
 
 
 def serial_joints(
@@ -226,14 +214,10 @@ def serial_joints(
 ) -> tuple[str, ...]:
     """Choose the joints of the serial arm in a tree, base to tip.
 
-    At a fork the arm goes on with the branch of the longest chain, the first of equal
-    ones. It ends if equal branches are not longer than the chain before the fork, as
-    the fingers of a gripper are.
-
-    Args:
-        tree: The tree of joints.
-        joints: Joints that the user wants, in any order, or None to choose.
-        held: Positions of joints outside the arm, [rad or m].
+    They are those that the user wants, in any order. Otherwise the arm goes on at a
+    fork with the branch of the longest chain, the first of equal ones. It ends if equal
+    branches are not longer than the chain before the fork, as the fingers of a gripper
+    are. The other joints are held, where the user wants or the file has them.
 
     Raises:
         RobotError: There is no joint, an unknown joint, joints on different branches,
@@ -269,8 +253,7 @@ def serial_joints(
             )
     others = {name for name in tree.parents if name not in kept}
     if others:
-        text = _choice(tree, kept, others, held)
-        warn(text)
+        warn(_choice(tree, kept, others, held))
     return kept
 
 

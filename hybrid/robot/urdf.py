@@ -143,8 +143,13 @@ def _joint_fields(joint: Element) -> dict[str, Any]:
             f"joint {name!r} is of type {printable(kind)!r}; valid are "
             f"{', '.join(_KINDS)}"
         )
+    follows = None
+    if joint.find("mimic") is not None:
+        ratio = number(joint, "mimic", "multiplier", 1.0)
+        offset = number(joint, "mimic", "offset", 0.0)
+        follows = _attribute(joint, "mimic", "joint"), ratio, offset
     if kind == "fixed":
-        return {"follows": _follows(joint)}
+        return {"follows": follows}
     if kind in ("revolute", "prismatic") and joint.find("limit") is None:
         raise RobotError(f"joint {name!r} is {kind} and has no <limit>")
     axis = numbers(joint, "axis", "xyz", 1.0, 0.0, 0.0)
@@ -153,18 +158,10 @@ def _joint_fields(joint: Element) -> dict[str, Any]:
     return {
         "joint": name,
         "kind": _KINDS[kind],
-        "follows": _follows(joint),
+        "follows": follows,
         "axis": axis / np.linalg.norm(axis),
         "revolute": kind != "prismatic",
     }
-
-
-def _follows(joint: Element) -> tuple[str, float, float] | None:
-    if joint.find("mimic") is None:
-        return None
-    ratio = number(joint, "mimic", "multiplier", 1.0)
-    offset = number(joint, "mimic", "offset", 0.0)
-    return _attribute(joint, "mimic", "joint"), ratio, offset
 
 
 def origin(element: Element) -> tuple[Array, Array]:

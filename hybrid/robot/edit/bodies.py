@@ -7,7 +7,7 @@ import numpy as np
 
 from hybrid.errors import RobotError
 from hybrid.robot.robot import Robot
-from hybrid.robot.spatial import central_inertia, inertia_fault, inertial_about
+from hybrid.robot.spatial import central_inertia, inertia_fault
 from hybrid.robot.tree import Body, Place, Tree
 
 _SAME = 1e-9  # of a link's parameters, the rounding error
@@ -27,8 +27,7 @@ def changed_bodies(tree: Tree, old: Robot, new: Robot) -> Iterator[tuple[Any, Bo
     members: list[list[tuple[Any, Place, np.ndarray]]] = [[] for _ in new.joints]
     for node, place in zip(tree.nodes, places, strict=True):
         if place.link >= 0 and node.body is not None:
-            inertial = inertial_about(*place.body(node))
-            members[place.link].append((node.body, place, inertial))
+            members[place.link].append((node.body, place, place.inertial(node)))
     for k, goal in enumerate(new.chain.inertial):
         before = old.chain.inertial[k]
         if (np.abs(goal - before) <= _SAME * np.abs(before).max()).all():

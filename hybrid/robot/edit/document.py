@@ -148,9 +148,9 @@ class Document:
         """Insert text before an element."""
         self._insert(tag.place, text)
 
-    def append(self, tag: Tag, text: str) -> None:
-        """Insert text before the end tag of an element."""
-        self._insert(self._ends[tag], text)
+    def append(self, text: str) -> None:
+        """Insert an element as the last one of the outermost."""
+        self._insert(self._ends[self.root], f"  {text}\n")
 
     def insert_child(self, tag: Tag, text: str) -> None:
         """Insert an element as the first child of another."""

@@ -40,10 +40,8 @@ def edit_drives(
             notes.append(f"drive of {joints[j]}, which has no actuator in the file")
             continue
         for (a, gear), tag in zip(own, found, strict=True):
-            missing = list(_edit(document, model, a, gear, tag, new))
-            notes += [
-                f"{x} of {joints[j]}, whose actuator has no place" for x in missing
-            ]
+            for missing in _edit(document, model, a, gear, tag, new):
+                notes.append(f"{missing} of {joints[j]}, whose actuator has no place")
     return tuple(dict.fromkeys(notes))
 
 

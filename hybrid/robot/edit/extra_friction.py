@@ -12,40 +12,43 @@ from hybrid.robot.edit.document import Document, Tag, element, joint_tag, model_
 from hybrid.robot.mjcf import joint_names
 from hybrid.robot.robot import Robot
 
-# MuJoCo's default dry friction is so soft that it is viscous at low speed.
-HARD = {"solimpfriction": (0.9999, 0.9999, 0.001, 0.5, 2.0)}
 _FORCES = "armature", "damping", "frictionloss"  # of a tendon
 _PHASE = 1.0  # rad, of a bristle's oscillation in a time step; stable up to 2
 _POSTURES = 100  # random postures in the search for the least inertia of a joint
 _SOFTEST, _HARDEST = 0.0001, 0.9999  # impedances that MuJoCo allows
+_WIDTH = (0.001, 0.5, 2.0)  # the rest of an impedance, which is MuJoCo's default
+
+
+def hard(step: float) -> dict[str, Any]:
+    """Attributes of hard dry friction at a time step, [s].
+
+    MuJoCo's default is so soft that the friction is viscous at low speed.
+    """
+    impedance = (_HARDEST, _HARDEST, *_WIDTH)
+    return {"solreffriction": (2 * step, 1.0), "solimpfriction": impedance}
 
 
 def set_tendon(
     document: Document, joints: Sequence[str], step: float, **forces: float
 ) -> None:
-    """Write forces on the sum of one or two joints to a tendon.
+    """Write forces on the sum of one or two joints to a tendon of an MJCF file.
 
-    Args:
-        document: An MJCF file.
-        joints: One or two joints.
-        step: Time step of the file, [s].
-        forces: ``armature``, ``damping``, ``frictionloss``, SI units at the joints.
+    They are ``armature``, ``damping`` and ``frictionloss``, in SI units at the joints;
+    the time step of the file is in seconds.
     """
-    hard = {"solreffriction": (2 * step, 1.0), **HARD}
-    hard = hard if forces["frictionloss"] else {}
+    softness = hard(step) if forces["frictionloss"] else {}
     for tag, ratio in _tendons_on(document, joints):
         given = {
             name: x / (ratio if name == "frictionloss" else ratio**2)
             for name, x in forces.items()
         }
-        document.set(tag, given | hard)
-        forces, hard = dict.fromkeys(forces, 0.0), {}
+        document.set(tag, given | softness)
+        forces, softness = dict.fromkeys(forces, 0.0), {}
     if any(forces.values()):
         named = {"name": "+".join(joints) + ("/dry" if len(joints) == 1 else "/rotor")}
-        head = element("fixed", named | forces | hard).replace("/>", ">")
+        head = element("fixed", named | forces | softness).replace("/>", ">")
         parts = [element("joint", {"joint": x, "coef": 1.0}) for x in joints]
-        text = f"<tendon>{head}{''.join(parts)}</fixed></tendon>"
-        document.append(document.root, f"  {text}\n")
+        document.append(f"<tendon>{head}{''.join(parts)}</fixed></tendon>")
 
 
 def _tendons_on(
@@ -70,8 +73,7 @@ def set_couplings(document: Document, step: float, old: Robot, new: Robot) -> No
         forces = after.get(pair, [0.0] * 3)
         if forces != before.get(pair):
             names = [new.joints[j] for j in pair]
-            own = dict(zip(_FORCES, forces, strict=True))
-            set_tendon(document, names, step, **own)
+            set_tendon(document, names, step, **dict(zip(_FORCES, forces, strict=True)))
 
 
 def set_passive_motors(document: Document, model: Any, old: Robot, new: Robot) -> None:
@@ -110,8 +112,7 @@ def _insert_motor(
     # The resistance is so large that no current flows and damps.
     motor = {"input": "none", "motorconst": 1.0, "resistance": 1e12}
     given = {"name": f"{joint}/{name}", "joint": joint, **motor, **friction}
-    text = f"  <actuator>{element('dcmotor', given)}</actuator>\n"
-    document.append(document.root, text)
+    document.append(f"<actuator>{element('dcmotor', given)}</actuator>")
 
 
 def _set_keyframe_bristles(document: Document, model: Any, new: Robot) -> None:
@@ -186,6 +187,6 @@ def set_knee_friction(document: Document, step: float, old: Robot, new: Robot) -
         given = {
             "frictionloss": new.knee[j],
             "solreffriction": (0.0, -slope * (1.0 - d) * mobility[j]),
-            "solimpfriction": (d, d, *HARD["solimpfriction"][2:]),
+            "solimpfriction": (d, d, *_WIDTH),
         }
         document.set(joint_tag(document, new.joints[j]), given)

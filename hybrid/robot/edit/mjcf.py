@@ -1,6 +1,6 @@
 """Edit numbers in an arm's MJCF file; all other bytes stay unchanged."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -22,7 +22,7 @@ from hybrid.robot.edit.document import (
 )
 from hybrid.robot.edit.drives import edit_drives
 from hybrid.robot.edit.extra_friction import (
-    HARD,
+    hard,
     replaced_friction,
     set_couplings,
     set_knee_friction,
@@ -71,17 +71,11 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
 def move_assets(document: Document, home: Path, folder: Path) -> None:
     """Adapt the paths of meshes and pictures to another folder."""
     assets = ("mesh", "hfield", "skin", "texture", "flexcomp", "model")
-    if home.resolve() == folder.resolve() or not any(
-        "file" in t.attributes for t in document.tags if t.path[-1] in assets
-    ):
-        return
     home, folder = home.resolve(), folder.resolve()
-    given: dict[str, str] = {}
-    for tag in document.find("mujoco", "compiler"):
-        given |= {
-            name: x for name, x in tag.attributes.items()
-            if name in ("meshdir", "texturedir", "assetdir")
-        }  # fmt: skip
+    named = any("file" in t.attributes for t in document.tags if t.path[-1] in assets)
+    if home == folder or not named:
+        return
+    given = _compiler(document)
     both = given.get("assetdir", "")
     new = {
         name: relative_path(given.get(name, both) or ".", home, folder)
@@ -129,10 +123,16 @@ def _inertial(document: Document, tag: Tag, body: Body) -> None:
 
 def turn_unit(document: Document, slides: bool) -> float:
     """Factor from radians to the file's unit of angle; 1 for a joint that slides."""
-    angle = "degree"
-    for tag in document.find("mujoco", "compiler"):
-        angle = tag.attributes.get("angle", angle)
+    angle = _compiler(document).get("angle", "degree")
     return 1.0 if slides or angle == "radian" else 180.0 / np.pi
+
+
+def _compiler(document: Document) -> dict[str, str]:
+    """Attributes of all ``compiler`` elements; those of a later one count."""
+    found: dict[str, str] = {}
+    for tag in document.find("mujoco", "compiler"):
+        found |= tag.attributes
+    return found
 
 
 def _joint(
@@ -154,8 +154,8 @@ def _joint(
         nonlinear = any(friction[1:]) or old.quadratic[j] or old.cubic[j]
         given["damping"] = friction if nonlinear else linear
     if motors or changed("frictionloss") or bool(old.knee[j]) != bool(new.knee[j]):
-        dry, hard = new.frictionloss[j], {"solreffriction": (2 * step, 1.0), **HARD}
-        given |= {} if new.knee[j] else {"frictionloss": dry, **hard}
+        dry = new.frictionloss[j]
+        given |= {} if new.knee[j] else {"frictionloss": dry, **hard(step)}
         set_tendon(document, [name], step, frictionloss=dry if new.knee[j] else 0.0)
     if changed("stiffness") or (new.stiffness[j] and changed("springref")):
         unit = turn_unit(document, not new.chain.revolute[j])
@@ -175,56 +175,51 @@ def _structure(
     document: Document, model: Any, robot: Robot, structure: Sequence[Structure]
 ) -> None:
     """Add the joints, tendons and constraints that functions add to a spec."""
-    spec = robot.mujoco_spec()
+    spec = robot.mujoco_spec()  # each body has one joint
     before = ElementTree.fromstring(spec_text(spec))
     for add in structure:
         add(spec, robot.joints)
     after = ElementTree.fromstring(spec_text(spec))
     names, added = joint_names(model), []
-    for name, own in _new_joints(before, after):
-        tag, j = joint_tag(document, name), names.index(name)
-        unit = turn_unit(document, own.get("type") == "slide")
-        given = {**_DEFAULTS, **own.attrib, "pos": model.jnt_pos[j]}
-        for key in ("range", "ref", "springref"):
-            if key in own.attrib:
-                given[key] = unit * np.array(own.attrib[key].split(), dtype=float)
-        document.insert_after(tag, element("joint", given))
-        added.append(j)
+    for body in after.iter("body"):
+        joints = body.findall("joint")
+        for own in joints[1:]:
+            name = joints[0].get("name", "")
+            tag, j = joint_tag(document, name), names.index(name)
+            unit = turn_unit(document, own.get("type") == "slide")
+            given = {**_DEFAULTS, **own.attrib, "pos": model.jnt_pos[j]}
+            for key in ("range", "ref", "springref"):
+                if key in own.attrib:
+                    given[key] = unit * np.array(own.attrib[key].split(), dtype=float)
+            document.insert_after(tag, element("joint", given))
+            added.append(j)
     known = {child.tag for child in before}
     for section in after:
         if section.tag not in known and section.tag != "default":
-            text = ElementTree.tostring(section, encoding="unicode").strip()
-            document.append(document.root, f"  {text}\n")
+            document.append(ElementTree.tostring(section, encoding="unicode").strip())
     _extend_keyframes(document, model, sorted(added, reverse=True))
-
-
-def _new_joints(
-    before: ElementTree.Element, after: ElementTree.Element
-) -> Iterator[tuple[str, ElementTree.Element]]:
-    """New joints, each with the name of the joint before it."""
-    known = {joint.get("name") for joint in before.iter("joint")}
-    for body in after.iter("body"):
-        first = body.find("joint")
-        for joint in body.findall("joint"):
-            if first is not None and joint.get("name") not in known:
-                yield str(first.get("name")), joint
 
 
 def _extend_keyframes(document: Document, model: Any, added: Sequence[int]) -> None:
     """Add zeros for new joints to keyframes and to custom limits."""
     places = {"qpos": model.jnt_qposadr, "qvel": model.jnt_dofadr}
     for tag in document.find("keyframe", "key"):
-        given = {}
-        for name in places.keys() & tag.attributes.keys():
-            words = tag.attributes[name].split()
-            for j in added:
-                words.insert(int(places[name][j]) + 1, "0")
-            given[name] = " ".join(words)
+        given = {
+            name: " ".join(_extended(tag.attributes[name], at[added].tolist()))
+            for name, at in places.items()
+            if name in tag.attributes
+        }
         document.set(tag, given)
     for tag in document.find("custom", "numeric"):
         if tag.attributes.get("name") in _LIMITS:
-            words = tag.attributes.get("data", "").split()
-            for j in added:
-                words.insert(j + 1, "0")
+            words = _extended(tag.attributes.get("data", ""), added)
             size = {"size": len(words)} if "size" in tag.attributes else {}
             document.set(tag, {"data": " ".join(words), **size})
+
+
+def _extended(text: str, after: Sequence[int]) -> list[str]:
+    """Words with a zero after each of some, last first."""
+    words = text.split()
+    for place in after:
+        words.insert(place + 1, "0")
+    return words

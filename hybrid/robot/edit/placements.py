@@ -16,7 +16,7 @@ from hybrid.robot.chain import Chain
 from hybrid.robot.edit.document import Document
 from hybrid.robot.mjcf import joint_frame, matrix
 from hybrid.robot.mujoco_model import compile_without_assets
-from hybrid.robot.urdf import roll_pitch_yaw
+from hybrid.robot.urdf import origin, roll_pitch_yaw, urdf_root
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -53,17 +53,13 @@ def _changes(old: Chain, new: Chain) -> dict[str, tuple[Array, Array]]:
 
 
 def _edit_urdf(document: Document, changes: dict[str, tuple[Array, Array]]) -> None:
-    for tag in document.find("robot", "joint"):
-        joint = tag.attributes.get("name", "")
-        if joint not in changes:
-            continue
-        origin = document.children(tag, "origin")
-        own = origin[0].attributes if origin else {}
-        xyz, rpy = (_numbers(own.get(name, "0 0 0")) for name in ("xyz", "rpy"))
-        turn, shift = changes[joint]
-        R = Rotation.from_euler("xyz", rpy).as_matrix()
-        given = {"xyz": xyz + R @ shift, "rpy": roll_pitch_yaw(R @ turn)}
-        document.set_child(tag, "origin", given)
+    for joint in urdf_root(document.content).iterfind("joint"):
+        name = joint.get("name", "")
+        if name in changes:
+            (R, xyz), (turn, shift) = origin(joint), changes[name]
+            (tag,) = document.find("robot", "joint", name=name)
+            given = {"xyz": xyz + R @ shift, "rpy": roll_pitch_yaw(R @ turn)}
+            document.set_child(tag, "origin", given)
 
 
 def _edit_mjcf(
@@ -88,7 +84,3 @@ def _edit_mjcf(
         around = found[0].parent
         assert around is not None  # the body
         document.set(around, {"pos": position, "quat": quaternion}, drop=_ORIENTATIONS)
-
-
-def _numbers(text: str) -> Array:
-    return np.array([float(x) for x in text.split()])

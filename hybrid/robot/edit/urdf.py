@@ -66,16 +66,6 @@ def _inertial_parts(
     return {"origin": origin, "mass": {"value": mass}, "inertia": six}
 
 
-def rotor_text(joint: str, inertia: float) -> str:
-    """A ``transmission`` element with a rotor, as Drake reads it."""
-    name, own = text_of(joint), element("drake:rotor_inertia", {"value": inertia})
-    return (
-        f'<transmission name="{name}_drive"><type>SimpleTransmission</type>'
-        f'<joint name="{name}"/><actuator name="{name}_motor">{own}</actuator>'
-        "</transmission>"
-    )
-
-
 def _inertial(document: Document, link: Tag, body: Body) -> None:
     own = document.children(link, "inertial")
     for inertial in own:
@@ -86,6 +76,7 @@ def _inertial(document: Document, link: Tag, body: Body) -> None:
 
 
 def _rotor(document: Document, joint: str, inertia: float) -> None:
+    """Write a rotor to the drive of a joint, or to a new one, as Drake reads it."""
     for drive in document.find("transmission"):
         if not any(
             x.attributes.get("name") == joint for x in document.children(drive, "joint")
@@ -100,7 +91,12 @@ def _rotor(document: Document, joint: str, inertia: float) -> None:
             document.set_child(motor, "drake:rotor_inertia", given)
             return
     _declare(document)
-    document.append(document.root, f"  {rotor_text(joint, inertia)}\n")
+    name, own = text_of(joint), element("drake:rotor_inertia", {"value": inertia})
+    document.append(
+        f'<transmission name="{name}_drive"><type>SimpleTransmission</type>'
+        f'<joint name="{name}"/><actuator name="{name}_motor">{own}</actuator>'
+        "</transmission>"
+    )
 
 
 def _declare(document: Document) -> None:

@@ -103,15 +103,12 @@ class _Writer:
             element("parent", {"link": above}),
             element("child", {"link": link}),
         ]
-        kind = "fixed"
-        if node.joint:
-            kind, inner = self._kind_and_parts(node)
-            parts += inner
-        text = "".join(f"\n    {x}" for x in parts)
+        kind, inner = self._movement(node) if node.joint else ("fixed", [])
+        text = "".join(f"\n    {x}" for x in parts + inner)
         head = f'  <joint name="{text_of(name)}" type="{kind}">'
         self.joints.append(f"{head}{text}\n  </joint>")
 
-    def _kind_and_parts(self, node: Node) -> tuple[str, list[str]]:
+    def _movement(self, node: Node) -> tuple[str, list[str]]:
         """Type of a joint, and its axis, limits and friction."""
         model, robot, name = self.model, self.robot, node.joint
         if node.kind:
@@ -125,39 +122,35 @@ class _Writer:
         limits = {"effort": 0.0, "velocity": 0.0}
         if name in robot.joints:
             j = robot.joints.index(name)
-            both = {"effort": robot.tau_max[j], "velocity": robot.v_max[j]}
-            both["drake:acceleration"] = robot.a_max[j]
-            limits |= {key: x for key, x in both.items() if np.isfinite(x)}
+            declared = {
+                "effort": robot.tau_max[j], "velocity": robot.v_max[j],
+                "drake:acceleration": robot.a_max[j],
+            }  # fmt: skip
+            limits |= {key: x for key, x in declared.items() if np.isfinite(x)}
         if limited:
             low, high = model.jnt_range[joint]
             limits |= {"lower": low, "upper": high}
-        friction = {
-            "damping": model.dof_damping[dof],
-            "friction": model.dof_frictionloss[dof],
-        }
+        damping, friction = model.dof_damping[dof], model.dof_frictionloss[dof]
         return turns if node.revolute else "prismatic", [
             element("axis", {"xyz": node.axis}),
             element("limit", limits),
-            element("dynamics", friction),
+            element("dynamics", {"damping": damping, "friction": friction}),
         ]
 
     def _geom(self, g: int, shift: Array) -> Iterator[str]:
         """Visual and collision elements of a geom."""
         model = self.model
         R, p = matrix(model.geom_quat[g]), shift + model.geom_pos[g]
-        parts = list(self._shapes(g, R, p))
-        words = []
+        shapes = [
+            f"{_origin(R, p)}<geometry>{x}</geometry>"
+            for R, p, x in self._shapes(g, R, p)
+        ]
         if model.geom_group[g] < _FIRST_HIDDEN:
-            words.append("visual")
+            color = element("color", {"rgba": model.geom_rgba[g]})
+            material = f'<material name="geom_{g}">{color}</material>'
+            yield from (f"<visual>{x}{material}</visual>" for x in shapes)
         if model.geom_contype[g] or model.geom_conaffinity[g]:
-            words.append("collision")
-        for word in words:
-            for R, p, shape in parts:
-                inside = f"{_origin(R, p)}<geometry>{shape}</geometry>"
-                if word == "visual":
-                    color = element("color", {"rgba": model.geom_rgba[g]})
-                    inside += f'<material name="geom_{g}">{color}</material>'
-                yield f"<{word}>{inside}</{word}>"
+            yield from (f"<collision>{x}</collision>" for x in shapes)
 
     def _shapes(self, g: int, R: Array, p: Array) -> Iterator[tuple[Array, Array, str]]:
         """Pose and element of each shape of a geom."""
