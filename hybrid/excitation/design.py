@@ -330,8 +330,6 @@ def write_reference(
         atomic_path(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="") as file,
     ):
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        rows = zip(reference.t, reference.q, reference.v, reference.a, strict=True)
-        for t, *states in rows:
-            writer.writerow([f"{x:.10g}" for x in (t, *(y for s in states for y in s))])
+        csv.writer(file, lineterminator="\n").writerow(header)
+        rows = [reference.t, reference.q, reference.v, reference.a]
+        np.savetxt(file, np.column_stack(rows), "%.10g", delimiter=",")
