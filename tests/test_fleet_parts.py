@@ -16,7 +16,6 @@ from hybrid.fleets.plan import (
     Unit,
     _day,
     _fingerprint,
-    _period,
     _resolved,
     opened,
     periods,
@@ -219,9 +218,14 @@ def test_a_day_is_the_last_date_in_a_path():
     ("period", "name"),
     [("day", "2027-01-03"), ("week", "2026-W53"), ("month", "2027-01")],
 )
-def test_a_week_may_be_of_the_year_before(period, name):
-    assert _period(date(2027, 1, 3), period) == name
-    assert _period(date(2026, 2, 3), "week") == "2026-W06"
+def test_a_week_may_be_of_the_year_before(tmp_path, period, name):
+    (tmp_path / "log.csv").write_text("log")
+
+    def names(day, period):
+        return list(periods(ArmPlan("a", {day: tmp_path / "log.csv"}, ""), period))
+
+    assert names("2027-01-03", period) == [name]
+    assert names("2026-02-03", "week") == ["2026-W06"]
 
 
 def test_a_table_of_dates_has_its_logs_on_these(tmp_path):

@@ -106,7 +106,8 @@ class Series:
             self._remove_slope(name)
         counts = np.isfinite(self.y).sum(axis=0)
         level = np.nanmedian(self.y, axis=1, keepdims=True)
-        self.common = np.where(counts >= SHARED, _median(self.y - level), 0.0)
+        known = counts >= SHARED
+        self.common[known] = np.nanmedian((self.y - level)[:, known], axis=0)
         self.y = self.y - self.common
 
     def shared(self, limit: float) -> Iterator[str]:
@@ -204,12 +205,6 @@ class Series:
                 if abs(after.mean() - before.mean()) > _LOAD_CHANGED * error > 0:
                     found.append("load")
         return ", ".join(dict.fromkeys(found))
-
-
-def _median(x: Array) -> Array:
-    """Median over arms in each period, 0 without values."""
-    return np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0
-                     for c in x.T])  # fmt: skip
 
 
 def _sentence(x: Change, unit: str) -> str:
