@@ -293,12 +293,11 @@ def best_point(
         # Between the samples of the design grid a torque may be a little higher, or a
         # distance smaller.
         margin += 1.2 * worst
-        inner, last = replace(sharp, margin=margin), solution
         solution = solve(
-            inner,
-            last.x,
+            replace(sharp, margin=margin),
+            solution.x,
             iterations=_REPAIR_ITERATIONS,
-            curvature=last.curvature,
+            curvature=solution.curvature,
             penalty=penalty,
         )
     raise ExcitationError(_infeasible(excess))
