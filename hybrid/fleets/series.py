@@ -164,14 +164,15 @@ class Series:
         base = np.nanmedian(self.baseline, axis=1)
         value = np.array([base[k] + now.value for k, *_, now in found])
         std = np.array([now.std for *_, now in found])
-        fleet = pooled(value, std) if len(found) >= FEWEST else None
+        unlike = np.zeros(len(found), dtype=bool)
+        if len(found) >= FEWEST:
+            value, unlike = pooled(value, std)
         for k, t, y, s, own, now in found:
             arm, most = self.arms[k], self._limit(limits[self.arms[k]], base[k])
             yield State(
                 arm, group, self.row["joint"], self.row["parameter"], self.row["unit"],
                 t, y, s, float(base[k]), own, self._confounded(k, own), now,
-                float(fleet.value[k]) if fleet else float(value[k]),
-                bool(fleet is not None and fleet.unlike[k]), most,
+                float(value[k]), bool(unlike[k]), most,
                 crossing(now, most) if np.isfinite(most) else (np.inf, np.inf, np.inf),
             )  # fmt: skip
 
