@@ -110,11 +110,11 @@ def test_pooling_makes_estimates_better_and_names_the_arm_that_is_unlike():
     true = rng.normal(5.0, 0.3, 30)
     y = true + rng.normal(0.0, 0.5, 30)
     y[7], true[7] = 12.0, 12.0
-    found = pooled(y, np.full(30, 0.5))
-    assert np.flatnonzero(found.unlike).tolist() == [7]
-    assert found.value[7] == 12.0
+    value, unlike = pooled(y, np.full(30, 0.5))
+    assert np.flatnonzero(unlike).tolist() == [7]
+    assert value[7] == 12.0
     rest = np.arange(30) != 7
-    error = np.abs(found.value - true)[rest]
+    error = np.abs(value - true)[rest]
     assert (error**2).mean() < 0.7 * (np.abs(y - true)[rest] ** 2).mean()
 
 

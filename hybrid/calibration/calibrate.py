@@ -56,6 +56,13 @@ class Setup:
     labels: tuple[str, ...]
     load: Array
 
+    def errors(
+        self, data: Measurements, labels: tuple[str, ...], x: Array
+    ) -> dict[str, Array]:
+        """Distance of model and measurement of each unit, by kind, [m or rad]."""
+        blocks = self.model.blocks(data, labels, x, _load(self.robot, data.q))
+        return {b.name: np.linalg.norm(b.residual, axis=1) for b in blocks}
+
 
 @dataclass(frozen=True, repr=False)
 class Calibration(Shown):
@@ -150,9 +157,7 @@ class Calibration(Shown):
 
     def errors(self, data: Measurements) -> dict[str, Array]:
         """Distance of model and measurement of each unit, by kind, [m or rad]."""
-        load, found = _load(self.setup.robot, data.q), self.solution
-        blocks = self.setup.model.blocks(data, found.labels, found.x, load)
-        return {b.name: np.linalg.norm(b.residual, axis=1) for b in blocks}
+        return self.setup.errors(data, self.solution.labels, self.solution.x)
 
 
 @typed

@@ -1,5 +1,6 @@
 """Cross-validation of a calibration on held-out poses."""
 
+from collections import defaultdict
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -52,17 +53,15 @@ def cross_validate(
         )
     frames: Collection[str] = [group for group in free if group in ("base", "tool")]
     part = np.arange(data.size) % folds
-    found: tuple[dict[str, list[Array]], ...] = ({}, {})
-    for k in range(folds):
-        fit, test = data.at(part != k), data.at(part == k)
-        for groups, errors in zip((frames, free), found, strict=True):
+    found = []
+    for groups in (frames, free):
+        parts: dict[str, list[Array]] = defaultdict(list)
+        for k in range(folds):
+            fit, test = data.at(part != k), data.at(part == k)
             for kind, sizes in _errors(robot, fit, test, groups, robust).items():
-                errors.setdefault(kind, []).append(sizes)
-    nominal, calibrated = (
-        {kind: np.concatenate(parts) for kind, parts in errors.items()}
-        for errors in found
-    )
-    return Errors(nominal, calibrated)
+                parts[kind].append(sizes)
+        found.append({kind: np.concatenate(x) for kind, x in parts.items()})
+    return Errors(*found)
 
 
 def _errors(
@@ -72,9 +71,8 @@ def _errors(
     free: Collection[str],
     robust: bool,
 ) -> dict[str, Array]:
-    if build_setup(robot, fit, free=free).labels:
+    setup = build_setup(robot, fit, free=free)
+    if setup.labels:
         return calibrate(robot, fit, free=free, robust=robust).errors(test)
     # Base and tool are known, so there is nothing to fit to the nominal arm.
-    setup = build_setup(robot, test, free=free)
-    blocks = setup.model.blocks(test, (), np.zeros(0))
-    return {b.name: np.linalg.norm(b.residual, axis=1) for b in blocks}
+    return setup.errors(test, (), np.zeros(0))

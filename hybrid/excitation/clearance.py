@@ -63,8 +63,7 @@ class Clearance(Constraint):
         capsules = capsules_from_robot(robot)
         links = np.unique(capsules.link)
         if bare := [x for k, x in enumerate(robot.joints) if k not in links]:
-            text = f"not kept apart, without collision geometry: {', '.join(bare)}"
-            warn(text)
+            warn(f"not kept apart, without collision geometry: {', '.join(bare)}")
         own = {i: np.flatnonzero(capsules.link == i) for i in links.tolist()}
         apart = [list(product(own[i], own[j])) for i in own for j in own if j > i + 1]
         pairs = np.array([x for both in apart for x in both], dtype=np.intp)
@@ -80,8 +79,7 @@ class Clearance(Constraint):
         if often.any():
             left_out = replace(every, pairs=every.pairs[often]).names
             named = ", ".join(x.split("links of ")[1] for x in dict.fromkeys(left_out))
-            text = f"not kept apart, as their capsules touch too often: {named}"
-            warn(text)
+            warn(f"not kept apart, as their capsules touch too often: {named}")
         return replace(every, pairs=every.pairs[share <= _MOST_CONTACT])
 
     @property

@@ -293,12 +293,11 @@ def best_point(
         # Between the samples of the design grid a torque may be a little higher, or a
         # distance smaller.
         margin += 1.2 * worst
-        inner, last = replace(sharp, margin=margin), solution
         solution = solve(
-            inner,
-            last.x,
+            replace(sharp, margin=margin),
+            solution.x,
             iterations=_REPAIR_ITERATIONS,
-            curvature=last.curvature,
+            curvature=solution.curvature,
             penalty=penalty,
         )
     raise ExcitationError(_infeasible(excess))
@@ -330,8 +329,6 @@ def write_reference(
         atomic_path(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="") as file,
     ):
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        rows = zip(reference.t, reference.q, reference.v, reference.a, strict=True)
-        for t, *states in rows:
-            writer.writerow([f"{x:.10g}" for x in (t, *(y for s in states for y in s))])
+        csv.writer(file, lineterminator="\n").writerow(header)
+        rows = [reference.t, reference.q, reference.v, reference.a]
+        np.savetxt(file, np.column_stack(rows), "%.10g", delimiter=",")

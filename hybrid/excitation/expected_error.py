@@ -71,10 +71,8 @@ class ExpectedError(Criterion):
 
     def smooth(self, gram: Array, power: float) -> tuple[float, Array]:
         """See :class:`~hybrid.excitation.criteria.Criterion`; smooth as it is."""
-        (few, by_few), (every, by_every) = (
-            self._least_squares_error(gram),
-            self._posterior_error(gram),
-        )
+        few, by_few = self._least_squares_error(gram)
+        every, by_every = self._posterior_error(gram)
         return 0.5 * (few + every), 0.5 * (by_few + by_every)
 
     def _least_squares_error(self, gram: Array) -> tuple[float, Array]:

@@ -121,18 +121,18 @@ class MotionProgram:
         """Coordinates of standstill in a posture without collisions, shape (m, n)."""
         if all(constraint.is_linear for constraint in self.constraints):
             return np.zeros_like(self.scale)
-        still = self._postures(rng, _POSTURES)
+        still = self._postures(rng)
         found = [c.excess(still).max(axis=1, initial=-1.0) for c in self.constraints]
         best = still.q[np.max(found, axis=0).argmin()]
         shift = best - self.limits.middle
         return np.asarray(self.constant[:, None] * shift / self.scale)
 
-    def _postures(self, rng: np.random.Generator, count: int) -> Path:
+    def _postures(self, rng: np.random.Generator) -> Path:
         """The arm at rest in random postures within the middle half of its range."""
         low, high = self.limits.low, self.limits.high
-        q = low + (high - low) * rng.uniform(0.25, 0.75, (count, len(low)))
+        q = low + (high - low) * rng.uniform(0.25, 0.75, (_POSTURES, len(low)))
         rest = np.zeros_like(q)
-        return Path(np.arange(float(count)), q, rest, rest, rest)
+        return Path(np.arange(float(_POSTURES)), q, rest, rest, rest)
 
     @cached_property
     def constant(self) -> Array:
@@ -219,7 +219,7 @@ class MotionProgram:
 
     def impossible(self) -> tuple[str, ...]:
         """Names of conditions that no random posture satisfies."""
-        still = self._postures(np.random.default_rng(0), _POSTURES)
+        still = self._postures(np.random.default_rng(0))
         found = [
             name
             for constraint in self.constraints

@@ -253,7 +253,10 @@ def periods(arm: ArmPlan, period: str) -> Logs:
                 f"arm {arm.name}: {path} has no date in its name; valid is one as "
                 "2026-01-31, a table of dates and files, or 'period: log'"
             )
-        name = Path(path).name if period == "log" else _period(day, period)
+        if day is None or period == "log":
+            name = Path(path).name
+        else:
+            name = day.strftime(_NAMES[period])
         found.setdefault(name, []).append((day.isoformat() if day else "", path, stamp))
     if not found:
         raise HybridError(f"arm {arm.name}: no log in {arm.logs}")
@@ -311,8 +314,3 @@ def _day(text: str) -> date | None:
         except ValueError:
             continue
     return None
-
-
-def _period(day: date | None, period: str) -> str:
-    assert day is not None
-    return day.strftime(_NAMES[period])

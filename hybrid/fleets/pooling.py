@@ -6,8 +6,6 @@ estimate of one arm is shrunk towards the mean (Efron and Morris 1975, doi
 10.1080/01621459.1975.10479864).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
@@ -18,25 +16,12 @@ FEWEST = 4  # arms in a group
 _FALSE_RATE = 0.01  # probability of any outlier in a group without one
 
 
-@dataclass(frozen=True)
-class Pooled:
-    """One parameter over the arms of a group.
-
-    Attributes:
-        value: Estimate of each arm, shape (A,).
-        unlike: True for outliers, shape (A,).
-    """
-
-    value: Array
-    unlike: NDArray[np.bool_]
-
-
-def pooled(y: Array, s: Array) -> Pooled:
-    """Pool the values of A arms; outliers are removed one by one.
+def pooled(y: Array, s: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Estimate of each of A arms, and whether it is an outlier, shape (A,) each.
 
     An arm is compared with the distribution of all others, at a level for all arms
-    together (Holm). An outlier keeps its own value. Values and their standard
-    deviations, above zero, have the shape (A,).
+    together (Holm), and outliers are removed one by one. An outlier keeps its own
+    value. Values and their standard deviations, above zero, have the shape (A,).
     """
     unlike = np.zeros(len(y), dtype=bool)
     while (~unlike).sum() >= FEWEST:
@@ -48,7 +33,7 @@ def pooled(y: Array, s: Array) -> Pooled:
         unlike[rest[worst]] = True
     mean, spread, _ = _mean_and_spread(y[~unlike], s[~unlike])
     weight = np.where(unlike, 1.0, spread**2 / (spread**2 + s**2))
-    return Pooled(weight * y + (1 - weight) * mean, unlike)
+    return weight * y + (1 - weight) * mean, unlike
 
 
 def _p_value(y: Array, s: Array, rest: NDArray[np.intp], k: int) -> float:

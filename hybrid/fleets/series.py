@@ -106,7 +106,8 @@ class Series:
             self._remove_slope(name)
         counts = np.isfinite(self.y).sum(axis=0)
         level = np.nanmedian(self.y, axis=1, keepdims=True)
-        self.common = np.where(counts >= SHARED, _median(self.y - level), 0.0)
+        known = counts >= SHARED
+        self.common[known] = np.nanmedian((self.y - level)[:, known], axis=0)
         self.y = self.y - self.common
 
     def shared(self, limit: float) -> Iterator[str]:
@@ -163,14 +164,15 @@ class Series:
         base = np.nanmedian(self.baseline, axis=1)
         value = np.array([base[k] + now.value for k, *_, now in found])
         std = np.array([now.std for *_, now in found])
-        fleet = pooled(value, std) if len(found) >= FEWEST else None
+        unlike = np.zeros(len(found), dtype=bool)
+        if len(found) >= FEWEST:
+            value, unlike = pooled(value, std)
         for k, t, y, s, own, now in found:
             arm, most = self.arms[k], self._limit(limits[self.arms[k]], base[k])
             yield State(
                 arm, group, self.row["joint"], self.row["parameter"], self.row["unit"],
                 t, y, s, float(base[k]), own, self._confounded(k, own), now,
-                float(fleet.value[k]) if fleet else float(value[k]),
-                bool(fleet is not None and fleet.unlike[k]), most,
+                float(value[k]), bool(unlike[k]), most,
                 crossing(now, most) if np.isfinite(most) else (np.inf, np.inf, np.inf),
             )  # fmt: skip
 
@@ -204,12 +206,6 @@ class Series:
                 if abs(after.mean() - before.mean()) > _LOAD_CHANGED * error > 0:
                     found.append("load")
         return ", ".join(dict.fromkeys(found))
-
-
-def _median(x: Array) -> Array:
-    """Median over arms in each period, 0 without values."""
-    return np.array([np.median(c[np.isfinite(c)]) if np.isfinite(c).any() else 0.0
-                     for c in x.T])  # fmt: skip
 
 
 def _sentence(x: Change, unit: str) -> str:
