@@ -9,7 +9,7 @@ from pendulum import gap_of, pendulum, with_torque
 
 from hybrid.diagnosis import diagnose as diagnose_module
 from hybrid.diagnosis.answer import command, motion_gap
-from hybrid.diagnosis.answer.command import Link, _blocks, _excess, _plausible, _Servo
+from hybrid.diagnosis.answer.command import Link, _excess, _plausible, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Shrink, Unseen
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import (
@@ -49,6 +49,7 @@ from hybrid.diagnosis.diagnose import _drop_improbable, _verdict
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.account import Account
+from hybrid.diagnosis.gap.measure import seconds
 from hybrid.effects.armature import Armature
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.command_latency import CommandLatency
@@ -750,12 +751,12 @@ def test_the_best_fit_without_an_effect_is_the_one_without_it():
 
 def test_an_excess_is_above_noise_in_blocks_of_a_second():
     gap = SimpleNamespace(fold=np.zeros(25), rate=5.0, robot=SimpleNamespace(size=2))
-    np.testing.assert_array_equal(_blocks(gap), np.repeat(range(5), 5))
+    np.testing.assert_array_equal(seconds(gap), np.repeat(range(5), 5))
     found = _excess(gap, [servo(1, late=4.0, whole=1.0)])
     expected = np.zeros((5, 2))
     expected[:2, 1] = 5 * (16.0 / 2.0 - 1.0)
     np.testing.assert_allclose(found, expected)
-    assert _blocks(SimpleNamespace(fold=np.zeros(3), rate=0.2)).tolist() == [0, 1, 2]
+    assert seconds(SimpleNamespace(fold=np.zeros(3), rate=0.2)).tolist() == [0, 1, 2]
 
 
 def test_gains_at_their_bounds_are_not_plausible():

@@ -665,7 +665,7 @@ def explained(places, gains, becomes=(), learnt=None, scale=1.0):
 
     evidence = SimpleNamespace(residuals=residuals, rows=[np.array([0, 1, 49, 50, 99])])
     own = tuple(np.array([x]) for x in index[1:])
-    gap = SimpleNamespace(rate=50.0)
+    gap = SimpleNamespace(rate=50.0, fold=np.zeros(100))
     return Explanation(
         gap, terms, evidence, index, np.array([0.5, *gains]), own, learnt
     )
