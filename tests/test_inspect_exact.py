@@ -30,7 +30,6 @@ from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import (
     doubts_of_samples,
     large_step,
-    longest_run,
     resolution,
 )
 from hybrid.inspect.scale import doubts_of_scale, scales
@@ -197,9 +196,8 @@ def test_one_joint_that_moves_among_three_is_told():
         assert [d.evidence for d in found] == [1] * told
 
 
-def test_runs_and_steps_of_a_column():
+def test_steps_of_a_column():
     x = np.array([1.0, 2.0, 2.0, 2.0, 5.0, 5.0, 4.0, 4.0, 4.0])
-    assert longest_run(x) == (3, 1) and longest_run(x[4:]) == (3, 2)
     assert resolution(x) == 1.0 and resolution(np.ones(3)) == np.inf
     assert resolution(np.ones(3), 0.01) == 0.01 and resolution(0.5 * x, 0.1) == 0.1
     steps = np.r_[0.0, np.cumsum(np.arange(1.0, 201.0))]

@@ -38,13 +38,6 @@ def doubts_of_samples(
     yield from _frozen(recording)
 
 
-def longest_run(x: Array) -> tuple[int, int]:
-    """Length and first index of the longest run of equal values of ``x``, (N,)."""
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
-    lengths = np.diff(starts)
-    return int(lengths.max()), int(starts[np.argmax(lengths)])
-
-
 def large_step(x: Array) -> float:
     """99 % quantile of the steps of a position, shape (N,); at least its resolution."""
     return max(float(np.quantile(np.abs(np.diff(x)), 0.99)), resolution(x, _COARSEST))
@@ -156,24 +149,27 @@ def _torque(recording: Recording) -> Iterator[Doubt]:
             where = recording.place("tau", joint)
             text = f"{where} stays at {limit:.6g} for {share:.1%}: saturated?"
             yield Doubt("tau", (joint,), text, evidence=share)
-        if frozen.any():
-            length, start = max((x.stop - x.start, x.start) for x in stretches(frozen))
-            where = recording.place("tau", joint, start)
-            text = f"{where}: frozen for {length} samples"
-            yield Doubt("tau", (joint,), text, evidence=length)
+        yield from _frozen_joint(recording, "tau", joint, frozen)
 
 
 def _frozen(recording: Recording) -> Iterator[Doubt]:
     both = np.hstack([recording.q, recording.tau])
     moved = np.any(np.diff(both, axis=0) != 0, axis=1)  # NaN differs from itself
-    length, row = longest_run(np.concatenate([[0], np.cumsum(moved)]))
+    rests = [(run.stop - run.start + 1, run.start) for run in stretches(~moved)]
+    length, row = max(rests, key=lambda rest: rest[0], default=(1, 0))
     if length > 10:
         text = f"all channels repeat for {length} samples from {row_words(row)}"
         yield Doubt("q", (), f"{text}: did the log stop?", evidence=length)
     for joint, x in enumerate(recording.q.T):
-        frozen = stretches(stuck_position(recording.t, x))
-        if frozen:
-            length, start = max((run.stop - run.start, run.start) for run in frozen)
-            where = recording.place("q", joint, start)
-            text = f"{where}: frozen for {length} samples"
-            yield Doubt("q", (joint,), text, evidence=length)
+        frozen = stuck_position(recording.t, x)
+        yield from _frozen_joint(recording, "q", joint, frozen)
+
+
+def _frozen_joint(
+    recording: Recording, channel: str, joint: int, frozen: NDArray[np.bool_]
+) -> Iterator[Doubt]:
+    if frozen.any():
+        length, start = max((x.stop - x.start, x.start) for x in stretches(frozen))
+        where = recording.place(channel, joint, start)
+        text = f"{where}: frozen for {length} samples"
+        yield Doubt(channel, (joint,), text, evidence=length)

@@ -17,7 +17,7 @@ from hybrid.recording.assignment import Assignment, listed
 from hybrid.recording.mapping import Map, Mapping, read_mapping
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import Recording
-from hybrid.recording.table import LogTable, NoJointsError
+from hybrid.recording.table import LogTable, NoJointsError, check_numbers
 from hybrid.recording.units import seconds
 
 
@@ -139,7 +139,7 @@ def _samples(
     if time.index >= 0:
         clocks = [block[time.index] for block in blocks]
         for clock in clocks:
-            _check_numbers(clock, time, table)
+            check_numbers(clock, time.label, table.place, timed=True)
     for size in sizes:
         block = blocks.pop(0)  # its memory is free after this step
         for name, group in groups.items():
@@ -157,7 +157,7 @@ def _fill(
     """Write a block's samples of a channel, in SI, into ``values``, shape (N, n)."""
     for k, u in enumerate(used):
         x = block[u.index]
-        _check_numbers(x, u, table)
+        check_numbers(x, u.label, table.place, timed=False)
         if len(x) != len(values):
             raise RecordingError(
                 f"{table.place}: {u.channel}{k + 1} ({u.joint}) has {len(x)} rows; "
@@ -168,15 +168,6 @@ def _fill(
             values[:, k] *= u.factor
         if u.offset:
             values[:, k] += u.offset
-
-
-def _check_numbers(x: NDArray[Any], used: Used, table: LogTable) -> None:
-    kinds = "fiuM" if used.channel == "t" else "fiu"
-    if x.ndim != 1 or x.dtype.kind not in kinds:
-        raise RecordingError(
-            f"{table.place}: {used.label} has shape {x.shape} and type {x.dtype}; "
-            "valid are numbers, (N,) or (N, n)"
-        )
 
 
 def _with_command(

@@ -8,6 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from hybrid.errors import RecordingError
+from hybrid.names import printable
 
 LARGEST_FILE = 4 << 30  # bytes; an hour at 1 kHz of 50 joints is less
 MOST_COLUMNS = 20_000  # of a table
@@ -69,6 +70,18 @@ def as_recording_error(source: object, kind: str) -> Iterator[None]:
         raise RecordingError(
             f"{source}: not a whole {kind} (truncated?): {reason}"
         ) from error
+
+
+def check_numbers(
+    x: NDArray[Any], label: str, place: str, *, timed: bool, most_axes: int = 1
+) -> None:
+    """Refuse samples that are no numbers, or have too many axes; time may be dates."""
+    kinds = "fiuM" if timed else "fiu"
+    if not 1 <= x.ndim <= most_axes or x.dtype.kind not in kinds:
+        raise RecordingError(
+            f"{place}: {printable(label)} has shape {x.shape} and type {x.dtype}; "
+            "valid are numbers, (N,) or (N, n)"
+        )
 
 
 class NoJointsError(RecordingError):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.labels import is_time, parse_label, split_unit
-from hybrid.recording.table import MOST_COLUMNS, LogTable
+from hybrid.recording.table import MOST_COLUMNS, LogTable, check_numbers
 
 Fields = Mapping[str, NDArray[Any]]  # each of shape (N,) or (N, n)
 NAMES = ("joints", "joint_names")  # labels of arrays that name the joints
@@ -38,7 +38,9 @@ def table_of_arrays(
     for label, x in arrays.items():
         if label in named:
             continue
-        _check_numbers(label, x, source)
+        timed = is_time(split_unit(label)[0])
+        if timed or parse_label(label).channel:
+            check_numbers(x, label, source, timed=timed, most_axes=2)
         if is_time(label) or x.ndim != 2:
             layout.append((label, label, None))
         else:
@@ -61,18 +63,6 @@ def _texts(x: NDArray[Any]) -> tuple[str, ...]:
         v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v).strip()
         for v in x.ravel()
     )
-
-
-def _check_numbers(label: str, x: NDArray[Any], source: str) -> None:
-    """Refuse an array under the label of time or of a channel that holds no columns."""
-    timed = is_time(split_unit(label)[0])
-    kinds = "fiuM" if timed else "fiu"
-    is_used = timed or parse_label(label).channel
-    if is_used and (x.ndim not in (1, 2) or x.dtype.kind not in kinds):
-        raise RecordingError(
-            f"{source}: {printable(label)} has shape {x.shape} and type {x.dtype}; "
-            "valid are numbers, (N,) or (N, n)"
-        )
 
 
 def _labels(
