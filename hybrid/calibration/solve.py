@@ -21,10 +21,10 @@ from hybrid.calibration.model import Block, KinematicModel
 from hybrid.calibration.outliers import misfit
 from hybrid.dynamics.base import BaseParameters, base_parameters
 from hybrid.errors import CalibrationError
+from hybrid.statistics import robust_std
 
 USUAL_NOISE = 1e-4  # m or rad, initial noise
 LEAST_NOISE = 1e-9  # m or rad, smallest noise, above rounding errors
-_NORMAL = 1.4826  # standard deviation of a normal variable over its median magnitude
 _ROUNDS, _ROBUST_ROUNDS = 20, 10  # of rejection and reweighting; of robust fits
 _SETTLED = 0.02  # relative change of noise
 
@@ -240,9 +240,7 @@ class _Fit:
         for _ in range(_ROBUST_ROUNDS):
             before = self.noise
             self.noise = {
-                b.name: max(
-                    _NORMAL * wider * np.median(np.abs(b.residual)), LEAST_NOISE
-                )
+                b.name: max(wider * float(robust_std(b.residual.ravel())), LEAST_NOISE)
                 for b in self.blocks(x)
             }
             exact = max(self.noise.values()) == LEAST_NOISE

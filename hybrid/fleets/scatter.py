@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.statistics import robust_std
 
 _LOG_SQUARE = np.pi**2 / 2  # variance of the logarithm of a squared normal variable
 _EXPONENT = 0.5, 0.5  # mean and standard deviation of its prior
@@ -66,8 +67,7 @@ class Scatter:
         """From values and their standard deviations, shape (A, T); NaN if missing."""
         pairs = [_differences(*x) for x in zip(y, s, strict=True)]
         differences = [difference / size for difference, size in pairs]
-        every = np.abs(np.concatenate(differences))
-        most = _MOST * 1.4826 * np.median(every) if len(every) else 0.0
+        most = _MOST * robust_std(np.concatenate(differences))
         squares = [np.minimum(np.abs(x), most) ** 2 for x in differences]
         return cls(
             np.array([x.mean() if len(x) else 0.0 for x in squares]),

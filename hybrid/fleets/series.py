@@ -17,10 +17,10 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.fleets.changes import MONTH, Change, Level, changes, crossing, level
 from hybrid.fleets.pooling import FEWEST, pooled
+from hybrid.statistics import HALF_WIDTH
 
 SHARED = 5  # fewest arms for a common change
 _OF_MEDIAN = 1.2533  # standard error of a median over that of a mean
-_SIGNIFICANT = 1.96  # standard errors
 _LOAD_CHANGED = 4.0  # standard errors from which a change of load is named
 _COVARIATES = ("temperature", "load")
 
@@ -136,7 +136,7 @@ class Series:
             return
         slope = float(np.median(slopes))
         error = _OF_MEDIAN * median_abs_deviation(slopes, scale="normal")
-        if abs(slope) > _SIGNIFICANT * error / np.sqrt(len(slopes)):
+        if abs(slope) > HALF_WIDTH * error / np.sqrt(len(slopes)):
             self.y = self.y - slope * np.nan_to_num(x)
 
     def states(

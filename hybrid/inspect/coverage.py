@@ -20,8 +20,8 @@ from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
 from hybrid.signals.autocorrelation import autocorrelation_time
+from hybrid.statistics import HALF_WIDTH
 
-_NORMAL = 1.96  # standard errors on either side of a 95 % interval
 _RANK = 1e-9  # of the largest column or singular value: what is below is rounding
 _BLIND = 0.01  # share of a parameter in directions without torque
 _LONGEST_LAG = 0.5  # s, of a servo behind its command
@@ -109,7 +109,7 @@ def excitation_of(chain: Chain, state: State) -> Excitation:
     error = np.linalg.norm(ways.T / np.where(blind, np.inf, singular), axis=1) / length
     # Of parameters that act alike, the log has a combination only.
     alike = np.sum(ways[blind] ** 2, axis=0) > _BLIND
-    unknown = resting | alike | (np.abs(theta) < _NORMAL * error)
+    unknown = resting | alike | (np.abs(theta) < HALF_WIDTH * error)
     condition = np.inf if (resting | blind).any() else float(singular[0] / singular[-1])
     untold = tuple(name for name, x in zip(names, unknown, strict=True) if x)
     return Excitation(condition, names, untold)

@@ -21,6 +21,7 @@ from hybrid.names import figure_text, file_stems
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, RED, new_figure, panels
 from hybrid.report.table import Table
+from hybrid.statistics import HALF_WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +48,7 @@ def _day(ordinal: float) -> str:
 
 def change_sentence(state: State, change: Change) -> str:
     """Size of a change with its interval, its date, and the date of the alarm."""
-    half = 1.96 * change.std
+    half = HALF_WIDTH * change.std
     if change.kind == "trend":
         size = (
             f"{MONTH * change.size:+.3g} ± {MONTH * half:.2g} {state.unit} a month "
@@ -93,7 +94,8 @@ def unlike_table(fleet: Fleet) -> Table:
     rows = [
         (
             x.arm, x.joint, x.parameter.replace("_", " "),
-            f"{x.baseline + x.level.value:.4g} ± {1.96 * x.level.std:.2g} {x.unit}",
+            f"{x.baseline + x.level.value:.4g} ± "
+            f"{HALF_WIDTH * x.level.std:.2g} {x.unit}",
             f"{_median_of_others(fleet, x):.4g} {x.unit}",
         )
         for x in fleet.states if x.unlike
@@ -202,7 +204,7 @@ def timeline_figure(states: Sequence[State]) -> Figure:
     figure, cells = panels(titles, height=1.35, label=label, size=8)
     for (axes,), x in zip(cells, states, strict=True):
         days = x.days - start
-        axes.errorbar(days, x.values, 1.96 * x.std, fmt=".", color=BLUE,
+        axes.errorbar(days, x.values, HALF_WIDTH * x.std, fmt=".", color=BLUE,
                       ecolor=PALE, markersize=4, linewidth=0.8)  # fmt: skip
         for change in x.changes:
             axes.axvspan(change.earliest - start, change.latest - start,

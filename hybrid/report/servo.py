@@ -12,6 +12,7 @@ from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLACK, BLUE, PALE, RED, lines_figure
 from hybrid.report.table import Table
 from hybrid.servo.drive import QUANTITIES
+from hybrid.statistics import HALF_WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,7 +59,7 @@ def servos_table(fit: ServoFit) -> Table:
     for k, each in enumerate(QUANTITIES):
         cells = []
         for x, std in zip(fit.drive[each.name], fit.std[k], strict=True):
-            off = x * np.expm1(1.96 * std) if each.positive else 1.96 * std
+            off = x * np.expm1(HALF_WIDTH * std) if each.positive else HALF_WIDTH * std
             digit = float(f"{off:.1g}")  # 60, and not 6e+01
             cells.append(f"{x:.3g} ± {digit:g}" if std else f"{x:.3g}")
         name = each.name.replace("_", " ")

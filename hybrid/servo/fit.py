@@ -27,6 +27,7 @@ from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
+from hybrid.statistics import HALF_WIDTH
 from hybrid.threads import one_thread
 
 _SECONDS, _EACH = 60.0, 5.0  # s: motion to fit, and length of its parts
@@ -192,7 +193,7 @@ def _findings(
     drives = [prior.moved(each) for each in (x, *alone)]
     errors = missed(problem.simulator, parts, drives)
     for (k, j), error in zip(places, errors[1:], strict=True):
-        quantity, off = QUANTITIES[k], 1.96 * std[k, j]
+        quantity, off = QUANTITIES[k], HALF_WIDTH * std[k, j]
         ends = x[k, j] - off, x[k, j] + off
         low, high = map(float, np.exp(ends) if quantity.positive else ends)
         others = best.equals.get((k, j), ())
