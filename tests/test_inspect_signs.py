@@ -8,6 +8,7 @@ from pendulum import pendulum
 
 from hybrid.inspect import physics
 from hybrid.inspect.physics import _gain, doubts_of_magnitude
+from hybrid.inspect.state import State
 from hybrid.recording import Recording
 
 
@@ -44,6 +45,29 @@ def test_a_torque_that_is_never_below_zero_and_nearly_zero_at_times_is_looked_at
     assert not looked_at(-RISING)
     assert looked_at(RISING - 0.5, RISING)  # one of two is enough
     assert not looked_at(np.full(50, np.nan))
+
+
+@pytest.mark.parametrize(("left", "told"), [((0.02, 0.02), False), ((0.2, 0.02), True)])
+def test_signs_are_told_by_what_is_left_and_not_by_its_share(monkeypatch, left, told):
+    """An offset keeps a torque above zero: with signs its variance is larger."""
+    tau = 1.0 + 0.05 * np.cos(7 * RISING)[:, None]
+    tau[3] = 0.05  # nearly zero at times
+    wanted = np.sign(np.sin(20 * RISING))[:, None]
+
+    class Fit:
+        def __init__(self, state, masses, Y):
+            self.signed, self.size = (state.tau < 0).any(), state.tau.var(axis=0)
+            self.explained = wanted
+
+        def residual(self, order, factor):
+            return left[int(self.signed)] / self.size
+
+    monkeypatch.setattr(physics, "MassColumns", Fit)
+    monkeypatch.setattr(physics, "inverse_dynamics", lambda *_: wanted.copy())
+    log = Recording(RISING, 0 * tau, tau=tau)
+    state = State(*[0 * tau] * 3, tau, None, np.full(1, np.nan), np.ones(1))
+    found = list(doubts_of_magnitude(log, pendulum(1), state))
+    assert [x.joints for x in found] == [(0,)] * told
 
 
 def test_without_an_arm_no_sign_is_told():

@@ -113,6 +113,8 @@ def doubts_of_magnitude(
         sign = np.where(suspect & (likely < 0), -1.0, 1.0)
         columns = MassColumns(replace(state, tau=sign * state.tau), masses, Y)
         after, likely = columns.residual(*plain), columns.explained
+    # Signs change the variance, too, to which the shares refer.
+    after *= (sign * state.tau).var(axis=0) / state.tau.var(axis=0)
     gain = 0.5 * np.log(before / after)
     for j in np.flatnonzero(suspect & (gain > _LEAST_GAIN)).tolist():
         text = (
