@@ -22,6 +22,7 @@ from hybrid.effects import (
     Port,
     Quantity,
     Scale,
+    effect_at,
     effect_class,
     effect_classes,
     effect_from_dict,
@@ -741,6 +742,18 @@ def test_the_example_of_how_to_add_an_effect_is_one(own):
     motion, body, _ = log_of(effect)
     v = motion.v[:, 1]
     np.testing.assert_allclose(effect.torque(motion, body)[:, 0], 0.5 * v * abs(v))
+
+
+def test_a_users_effect_does_not_take_the_place_of_a_latency_or_of_servo_gains(own):
+    servo = OWN.replace("Port.ENVIRONMENT", "Port.COMMAND").replace("hose", "aside")
+    effects_from_file(own(servo))
+    late = OWN.replace("hose", "a_late").replace(
+        "    port", "    shifts = True\n    port"
+    )
+    effects_from_file(own(late.replace("Port.ENVIRONMENT", "Port.MEASUREMENT")))
+    assert effect_at(Port.COMMAND, shifts=False).id == "controller_gain"
+    assert effect_at(Port.COMMAND, shifts=True).id == "command_latency"
+    assert effect_at(Port.MEASUREMENT, shifts=True).id == "delay"
 
 
 def test_a_users_file_may_be_read_again_after_a_change(own):

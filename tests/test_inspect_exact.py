@@ -576,6 +576,16 @@ def test_a_torque_without_its_sign_is_told_at_its_joint(seed):
     assert not list(doubts_of_magnitude(far, arm, replace(state, tau=far.tau)))
 
 
+def test_a_joint_without_torque_has_no_variance_that_signs_could_change():
+    """It warned of a division by zero."""
+    arm = pendulum(2)
+    state = asked(arm)
+    tau = np.abs(state.tau) * [0.0, 1.0]
+    recording = Recording(0.02 * np.arange(400), state.q, tau=tau, joints=arm.joints)
+    found = doubts_of_magnitude(recording, arm, replace(state, tau=tau))
+    assert {x.joints for x in found} <= {(1,)}
+
+
 def test_links_of_a_file_leave_what_another_law_of_friction_leaves():
     """Three thousandths of the variance at least; any masses leave a thousandth."""
     arm = pendulum(2)

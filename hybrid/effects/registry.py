@@ -124,8 +124,11 @@ def effect_class(effect_id: str) -> type[Effect]:
 
 
 def effect_at(port: Port, *, shifts: bool) -> type[Effect]:
-    """The first effect at a port that shifts a signal in time, or that does not."""
-    known = effect_classes().values()
+    """The effect at a port that shifts a signal in time, or that does not.
+
+    It is the library's own, whatever a user adds there.
+    """
+    known = _shipped().values()
     return next(x for x in known if x.port is port and x.shifts == shifts)
 
 

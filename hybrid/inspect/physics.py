@@ -114,7 +114,8 @@ def doubts_of_magnitude(
         columns = MassColumns(replace(state, tau=sign * state.tau), masses, Y)
         after, likely = columns.residual(*plain), columns.explained
     # Signs change the variance, too, to which the shares refer.
-    after *= (sign * state.tau).var(axis=0) / state.tau.var(axis=0)
+    signed, logged = (x[:, suspect].var(axis=0) for x in (sign * state.tau, state.tau))
+    after[suspect] *= signed / logged
     gain = 0.5 * np.log(before / after)
     for j in np.flatnonzero(suspect & (gain > _LEAST_GAIN)).tolist():
         text = (

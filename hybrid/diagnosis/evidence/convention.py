@@ -175,13 +175,12 @@ class _TimeEvidence:
         evidence.add(*friction_near_rest(gap))
         beside = [c for c in _nuisances(gap) if {*joints} & {*c.effect.joints}]
         # Where a servo is damped, a law of acceleration is the step.
-        steps = [c for c in beside if c.effect.usual and c.effect.differentiates]
-        steps = [c for c in steps if c.effect.joints[0] in servo]
-        beside = [c for c in beside if c not in steps]
+        rotors = [c for c in beside if c.effect.usual and c.effect.differentiates]
+        steps = {c.effect.joints[0]: c for c in rotors if c.effect.joints[0] in servo}
+        beside = [c for c in beside if c not in steps.values()]
         evidence.add([gap.columns(c.effect) for c in beside], [c.std for c in beside])
         self._base = np.arange(evidence.size)
-        accelerations = [gap.columns(c.effect) for c in steps]
-        damped = [{j: robot.kd[j] * x for j, x in c.items()} for c in accelerations]
+        damped = [{j: robot.kd[j] * gap.columns(steps[j].effect)[j]} for j in servo]
         delays = [_delay_columns(gap, j) for j in joints]
         evidence.add([*delays, *damped], [np.array([_OPEN])] * len(joints + servo))
         self._evidence, self._sizes = evidence, (len(joints), len(servo))

@@ -150,7 +150,9 @@ class Gap:
                 rest = self._change(effect, motion, body) - columns @ gains
                 columns = columns + rest[:, :, None] * gains / (gains @ gains)
             parts.append(sampler(columns))
-        stacked = np.concatenate(parts) * float(effect.holds(self.motions))
+        stacked = np.concatenate(parts)
+        if not effect.holds(self.motions):
+            stacked = np.zeros_like(stacked)
         reached = effect.reaches(self.robot.size)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
 
