@@ -94,21 +94,28 @@ def run(
 def sizes(
     arm: str, kinds: tuple[str, ...], seed: int, motion: Make = random_fourier
 ) -> list[float]:
-    """What each fault alone adds to the gap, at most at a joint, in units of noise.
+    """What each fault adds to the gap, at most at a joint, in units of noise.
 
     The noise is the gap of the loop without faults, small errors of its file included.
     The gap is of the motion that is driven: that a fault changes the motion is none.
+    Beside another fault one may never act: a drive that saturates without a spring.
     """
-    squares = []
-    for only in ((), *((k,) for k in range(len(kinds)))):
+    every = OwnLoop(load_arm(arm), kinds, seed, motion).faults
+
+    def squares(only: Collection[int]) -> np.ndarray:
         loop = OwnLoop(load_arm(arm), kinds, seed, motion, only)
+        for k, fault in zip(only, loop.faults, strict=True):
+            fault.limit = every[k].limit
         loop.rng = np.random.default_rng(seed)  # the same reference, and noise
         gap = measure_gap(loop.robot, [loop.record() for _ in range(RECORDINGS)])
         used = np.maximum(gap.moving.sum(axis=0), 1)
-        squares.append((np.where(gap.moving, gap.left, 0.0) ** 2).sum(axis=0) / used)
-    more = [np.maximum(x - squares[0], 0.0) for x in squares[1:]]
-    return [float(np.sqrt((x / squares[0]).max(where=squares[0] > 0, initial=0.0)))
-            for x in more]  # fmt: skip
+        return (np.where(gap.moving, gap.left, 0.0) ** 2).sum(axis=0) / used
+
+    numbers = range(len(kinds))
+    noise, whole = squares(()), squares(numbers)
+    less = [squares([i for i in numbers if i != k]) for k in numbers]
+    more = [np.maximum(whole - x, 0.0) for x in less]
+    return [float(np.sqrt((x / noise).max(where=noise > 0, initial=0.0))) for x in more]
 
 
 def named(found: Diagnosis) -> list[dict[str, Any]]:

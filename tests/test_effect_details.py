@@ -16,6 +16,7 @@ from test_effect_laws import effect, motion_of
 from hybrid.dynamics import RigidBody
 from hybrid.effects import JointState, Scale, effect_class, effect_classes
 from hybrid.effects.backlash import _flight, _link_position
+from hybrid.effects.delivered import delivered_torque
 from hybrid.effects.elasticity import _swing
 from hybrid.effects.gravity_tilt import level_axes
 from hybrid.errors import EffectError
@@ -154,17 +155,22 @@ def test_a_drive_clips_only_near_its_limit():
     assert effect("saturation", limit=9.0).holds([motion])
 
 
-def test_friction_that_a_file_lacks_is_learned_below_the_limit_only():
+def test_what_is_delivered_has_the_friction_that_a_file_lacks():
+    """It is learned where the drive loses nothing, or beside what it loses there."""
     t = np.linspace(0, 40, 2000)
-    asked, v = 30.0 * np.sin(t), np.cos(1.7 * t)[:, None]
-    lacks = 3.0 * np.sign(v[:, 0]) + 2.0 * v[:, 0]
-    motion = drive(asked, np.clip(asked, -12, 12) - lacks, v)
-    law = effect("saturation", limit=12.0, total=1.0)
-    found = law._delivered(motion, motion.asked, motion.tau)[:, 0]
-    moves = np.abs(v[:, 0]) > 0.05
-    np.testing.assert_allclose(found[moves], np.clip(asked, -12, 12)[moves], atol=1e-9)
-    few = drive(asked[:99], motion.tau[:99], v[:99])
-    np.testing.assert_array_equal(law._delivered(few, few.asked, few.tau), few.tau)
+    asked, v, a = 30.0 * np.sin(t), np.cos(1.7 * t), -1.7 * np.sin(1.7 * t)
+    lacks = 3.0 * np.sign(v) + 2.0 * v + 0.5 * a
+    clipped, through = np.clip(asked, -12, 12), asked - 4.0 * np.sign(asked)
+    for delivered, use, lost in (
+        (clipped, np.abs(asked) < 12, ()),
+        (through, np.abs(asked) > 4, (np.sign(asked),)),
+    ):
+        found = delivered_torque(v, a, delivered - lacks, asked, use, *lost)
+        np.testing.assert_allclose(found, delivered, atol=1e-9)
+    few = np.arange(2000) < 99
+    np.testing.assert_array_equal(
+        delivered_torque(v, a, clipped - lacks, asked, few), clipped - lacks
+    )
 
 
 def test_torque_beyond_a_limit_is_seen_in_the_log_or_in_what_was_asked():
@@ -213,6 +219,16 @@ def test_a_dead_zone_is_sure_where_nothing_comes_through_and_it_is_soon_crossed(
     assert not law.holds([drive(asked, asked)])  # it comes through
     slow = np.where(np.sin(t) > 0.3, 20.0, 1.0)  # it stays inside for long
     assert not law.holds([drive(slow, np.where(slow > 2, slow, 0))])
+
+
+def test_a_dead_zone_is_found_beside_friction_that_the_file_lacks():
+    t = np.linspace(0, 60, 3000)
+    asked, v = 20.0 * np.sin(t), np.cos(1.7 * t)
+    through = asked - np.clip(asked, -2.0, 2.0)
+    lacks = 5.0 * np.sign(v) + 2.0 * v
+    law = effect("deadzone", onset=2.0, total=1.0)
+    assert law.holds([drive(asked, through - lacks, v[:, None])])
+    assert not law.holds([drive(asked, asked - lacks, v[:, None])])
 
 
 def test_a_log_that_never_enters_a_dead_zone_says_nothing_against_it():

@@ -89,8 +89,10 @@ def test_torque_has_a_direction_if_it_is_above_the_onset_for_half_of_the_time():
 
 
 def test_a_command_is_in_a_dead_zone_for_a_seventh_of_the_time_at_most():
+    to_and_fro = np.where(np.arange(COUNT) % 2, 1.0, -1.0)
+
     def log(count, least=0.0, usual=10.0):
-        return drive(some(count, 1.9, 2.0), some(count, least, usual))
+        return drive(some(count, 1.9, 2.0), some(count, least, usual), to_and_fro)
 
     assert is_dead(log(149), total=1.0) and not is_dead(log(150), total=1.0)
     assert not is_dead(log(0), total=1.0)

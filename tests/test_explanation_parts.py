@@ -16,7 +16,7 @@ from hybrid.diagnosis.explanations.belief import (
     Belief,
     _independent,
     _limit,
-    _twin,
+    _twins,
     beliefs,
     unknown_worth,
 )
@@ -466,7 +466,7 @@ def beliefs_of(at):
     """Beliefs of a search none of whose laws is a limit or a twin."""
     with pytest.MonkeyPatch.context() as m:
         m.setattr(belief_module, "_limit", lambda *_: None)
-        m.setattr(belief_module, "_twin", lambda *_: False)
+        m.setattr(belief_module, "_twins", lambda *_: [])
         return beliefs(at)
 
 
@@ -481,20 +481,36 @@ def test_a_proposal_at_another_joint_that_adds_to_a_cause_is_beside_it():
 
 
 def test_twins_have_the_same_torque_at_the_same_joint():
+    """They are found however little evidence there is for them."""
     gap = gap_of(size=2)
-    at = SimpleNamespace(gap=gap)
+    rubs, drags, other, soft = (
+        candidate(gap, x) for x in (
+            Coulomb((0,)), Viscous((0,)), Coulomb((1,)),
+            Presliding((0,), {"distance": 0.05}),
+        )
+    )  # fmt: skip
+    twin = replace(rubs, effect=AnotherCoulomb((0,)))
 
-    def of(effect):
-        made = candidate(gap, effect)
-        return Cause(made.place, np.zeros(1, int), 0.0, made)
+    def of(c):
+        return Cause(c.place, np.zeros(1, int), 0.0, c)
 
-    one, two = of(Coulomb((0,))), of(Viscous((0,)))
-    soft = of(Presliding((0,), {"distance": 0.05}))
-    assert _twin(at, one, proposal(of(Coulomb((0,), {"level": 2.0})), 1.0))
-    assert not _twin(at, one, proposal(two, 1.0))
-    assert not _twin(at, one, proposal(of(Coulomb((1,))), 1.0))
-    assert not _twin(at, LAW, proposal(one, 1.0))
-    assert not _twin(at, soft, proposal(LAW, 1.0))
+    ranked = [(x, -50.0) for x in (rubs, drags, twin, other, soft)]
+    at = SimpleNamespace(
+        gap=gap, refused=frozenset(), causes=[], columns=lambda causes: None,
+        pool=SimpleNamespace(ranked=lambda *_: ranked), taken=lambda rest: set(),
+        refine=lambda base, c: (c, 0.0), cause=of, score=len,
+    )  # fmt: skip
+    (found,) = _twins(at, of(rubs), [LAW])
+    assert found.place == twin.place and found.worth == 1
+    assert _twins(at, of(drags), []) == [] and _twins(at, LAW, []) == []
+    at.refused = frozenset([twin.place])
+    assert _twins(at, of(rubs), []) == []
+
+
+class AnotherCoulomb(Coulomb):
+    """The same torque as Coulomb friction, by another name."""
+
+    id = "another_coulomb"
 
 
 def test_a_law_at_the_end_of_a_range_is_another_unless_it_is_far_better(monkeypatch):

@@ -30,6 +30,7 @@ from hybrid.diagnosis.gap.measure import (
     split,
     unseen_samples,
 )
+from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
@@ -481,9 +482,18 @@ def test_a_link_moves_the_joints_before_it_and_its_own():
     links = pendulum(3).chain.inertial
     for i in range(3):
         torque = sum(blocks[k][i] @ links[k] for k in range(3) if i in blocks[k])
-        exact = [s(b.load[:, i]) for _, b, s in gap]
+        exact = [s(b.load[:, i]) for _, b, s in gap.lower_band]
         np.testing.assert_allclose(torque, np.concatenate(exact), atol=1e-9)
     assert all(len(x) == 10 for x in sizes[:3]) and len(sizes) == len(blocks) == 6
+
+
+def test_a_heavier_link_is_a_rotor_of_a_single_joint():
+    """Had its torque another band, both together would fit what lies between."""
+    gap = gap_of(noise=0.02)
+    link, *_ = background(gap)[0]
+    rotor = gap.columns(Armature((0,)))[0]
+    about_axis = link[0][:, 6]  # Iyy
+    np.testing.assert_allclose(about_axis, rotor[:, 0], atol=1e-9)
 
 
 def test_dry_friction_is_told_from_drag_rotor_and_offset():

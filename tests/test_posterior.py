@@ -107,6 +107,22 @@ def test_the_cause_of_a_candidate_is_made_once():
     assert wide is not made and wide.cost == pytest.approx(made.cost + np.log(10.0))
 
 
+def test_friction_that_drives_is_no_cause():
+    """A prior that ends at zero is twice as dense above it."""
+    for level, sign in ((0.5, 1.0), (-0.5, -1.0)):
+        at = search(Coulomb((0,), {"level": level}))
+        rubs = cause(at, RUBS)
+        one, none = (at.evidence.solve(at.columns(x)) for x in ([rubs], []))
+        assert one.of(rubs.index) == pytest.approx(level, rel=0.02)
+        gained = at.score([rubs]) - at.score([]) + at.odds(rubs)
+        unbounded = one.evidence - none.evidence
+        assert unbounded > 100.0
+        if sign > 0:
+            assert gained == pytest.approx(unbounded + np.log(2.0))
+        else:
+            assert gained < 10.0
+
+
 def test_an_effect_at_every_joint_is_as_probable_as_one_and_then_at_each_or_not():
     """The prior of all: that of one cause, and two possibilities for each joint."""
     at = search(*BOTH, size=2)
@@ -126,7 +142,8 @@ def test_what_a_term_is_worth_is_the_evidence_lost_without_it():
         rest = [c for c in at.causes if c is not at.causes[k]]
         fall = at.score(at.causes) - at.score(rest)
         lost = fall + at.odds(at.causes[k]) - price(term.candidate.effect)
-        assert at.loss(term) == pytest.approx(lost)
+        bounded = np.log(2.0) * (term.candidate.effect.id == "coulomb")
+        assert at.loss(term) == pytest.approx(lost - bounded)
         assert at.placed(term) == (term.place[0], "hinge_0")
     assert len(at.base()) == len(at.rigid) + 2
 

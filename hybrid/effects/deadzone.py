@@ -6,6 +6,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects import Body, Effect, Memory, Port, Quantity, Scalar
+from hybrid.effects.delivered import delivered_torque, moving
 from hybrid.signals import Motion
 
 # Slope of the law within the zone when it is inverted, so that the commanded torque
@@ -15,7 +16,6 @@ _LEAST_LOST = 0.8  # of the width: torque that is lost
 _MOST_DELIVERED = 0.2  # torque within the zone, of its width and of that outside
 _LEAST_OUTSIDE = 0.5  # of the time: the torque is outside the zone
 _MOST_INSIDE = 0.15  # of the time: a controller leaves the zone soon
-_MOVING = 0.05  # of the highest speed; at rest friction balances any torque
 
 
 class Deadzone(Effect):
@@ -55,20 +55,21 @@ class Deadzone(Effect):
 
         Else its direction looks like a gain. A controller leaves a dead zone soon.
         """
-        (j,), onset, both = self.joints, self.values["onset"], []
+        (j,), onset, parts = self.joints, self.values["onset"], []
         for motion in motions:
             if motion.asked is None:
                 return True
-            speed = np.abs(motion.v[:, j])
-            moves = speed > _MOVING * speed.max(initial=0.0)
-            both.append(np.abs([motion.tau[moves, j], motion.asked[moves, j]]))
-        tau, asked = np.concatenate(both, axis=1)
+            moves = moving(motion.v[:, j])
+            known = motion.v, motion.a, motion.tau, motion.asked
+            parts.append([x[moves, j] for x in known])
+        v, a, tau, asked = np.concatenate(parts, axis=1)
         if not self.values["total"]:
-            return bool(np.mean(tau > onset) > _LEAST_OUTSIDE)
-        inside = asked < onset
+            return bool(np.mean(np.abs(tau) > onset) > _LEAST_OUTSIDE)
+        inside = np.abs(asked) < onset
         if not 0.0 < inside.mean() < _MOST_INSIDE:
             return False
-        least, usual = np.median(tau[inside]), np.median(tau[~inside])
+        delivered = np.abs(delivered_torque(v, a, tau, asked, ~inside, np.sign(asked)))
+        least, usual = (np.median(delivered[x]) for x in (inside, ~inside))
         return bool(least < _MOST_DELIVERED * min(usual, onset))
 
     @property

@@ -157,8 +157,13 @@ class Effect(InPlant, Instant, ABC):
 
     @property
     def least_gains(self) -> Array:
-        """Smallest gains at its shapes: 0, or −∞ if negative ones are valid; (p,)."""
-        return np.array([0.0 if g.lower >= 0 else -np.inf for g in self.gains])
+        """Smallest gains at its shapes, shape (p,).
+
+        They are 0, or −∞ if negative ones are valid. A ratio has the same bound on arms
+        of all sizes.
+        """
+        bounds = [-np.inf if g.unit and g.lower < 0 else g.lower for g in self.gains]
+        return np.minimum(bounds, 0.0)
 
     @property
     def shape_values(self) -> dict[str, float]:

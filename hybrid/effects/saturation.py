@@ -7,14 +7,14 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects import Body, Effect, Memory, Port, Quantity, Scalar
+from hybrid.effects.delivered import delivered_torque, moving
 from hybrid.signals import Motion
 
 _CLIPPED = 0.9  # loss from which a drive counts as clipping
 _LEAST_CLIPPED = 0.8  # smallest fitted loss of a drive that clips
 _LIMIT_TOLERANCE = 0.2  # of the limit: deviation of the torque of a drive that clips
 _MOST_OUTSIDE = 0.1  # of the samples beyond that tolerance
-_MOVING = 0.05  # of the highest speed; at rest friction balances any torque
-_FEWEST_SAMPLES = 100  # below the limit, or beyond it, for a fit
+_FEWEST_SAMPLES = 100  # beyond the limit, for a fit
 # A command above this multiple of this quantile of the delivered torque is beyond it.
 _ASKED_MORE, _HIGH_QUANTILE = 1.1, 0.9
 
@@ -74,15 +74,15 @@ class Saturation(Effect):
         """Whether a drive that clips delivers its limit when the command is beyond."""
         if not self.values["total"]:
             return True
-        count, limit = np.zeros(2), self.values["limit"]
+        count, limit, (j,) = np.zeros(2), self.values["limit"], self.joints
         for motion in motions:
             if motion.asked is None:
                 continue
-            asked, tau, v = (
-                x[:, self.joints] for x in (motion.asked, motion.tau, motion.v)
-            )
-            tau = self._delivered(motion, asked, tau)
-            over = (np.abs(v) > _MOVING * np.abs(v).max()) & (np.abs(asked) > limit)
+            known = motion.v, motion.a, motion.tau, motion.asked
+            v, a, tau, asked = (x[:, j] for x in known)
+            moves, below = moving(v), np.abs(asked) < limit
+            tau = delivered_torque(v, a, tau, asked, moves & below)
+            over = moves & (np.abs(asked) > limit)
             apart = np.abs(np.sign(asked) * tau - limit) > _LIMIT_TOLERANCE * limit
             count += (over & apart).sum(), over.sum()
         return bool(count[0] <= _MOST_OUTSIDE * count[1])
@@ -120,22 +120,6 @@ class Saturation(Effect):
         share = loss / (1.0 - loss) if loss < _CLIPPED else 0.0
         beyond = needed - np.clip(needed, -limit, limit)
         return [needed + share * beyond], ()
-
-    def _delivered(self, motion: Motion, asked: Array, tau: Array) -> Array:
-        """The file's torque plus friction and rotor that the file may lack, (M, p).
-
-        These are fitted to samples whose commanded torque is below the limit.
-        """
-        out = np.array(tau)
-        for k, j in enumerate(self.joints):
-            v, residual = motion.v[:, j], asked[:, k] - tau[:, k]
-            laws = np.stack([np.sign(v), v, motion.a[:, j]], axis=1)
-            moves = (np.abs(v) > _MOVING * np.abs(v).max()) & np.isfinite(residual)
-            below = moves & (np.abs(asked[:, k]) < self.values["limit"])
-            if below.sum() >= _FEWEST_SAMPLES:
-                fit = np.linalg.lstsq(laws[below], residual[below], rcond=None)
-                out[:, k] += laws @ fit[0]
-        return out
 
     def _beyond(self, torque: Array) -> Array:
         limit = self.values["limit"]

@@ -52,8 +52,18 @@ class Solution:
 
     def of(self, columns: Index) -> Array:
         """Gains of some of the columns, in their order."""
+        return self.gains[self._at(columns)]
+
+    def std(self, columns: Index) -> Array:
+        """Posterior standard deviations of the gains of some of the columns."""
+        at = self._at(columns)
+        unit = np.zeros((len(self.index), len(at)))
+        unit[at, np.arange(len(at))] = self._unit[at]
+        return np.asarray(np.sqrt(np.sum(unit * cho_solve(self._factor, unit), axis=0)))
+
+    def _at(self, columns: Index) -> Index:
         order = np.argsort(self.index)
-        return self.gains[order[np.searchsorted(self.index[order], columns)]]
+        return np.asarray(order[np.searchsorted(self.index[order], columns)])
 
 
 class Trial(NamedTuple):

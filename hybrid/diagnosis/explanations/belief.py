@@ -88,12 +88,13 @@ def beliefs(search: Search) -> list[Belief]:
         rest = [c for c in search.causes if c is not cause]
         worth = now - search.score(rest)
         options: dict[Place, Proposal] = {}
-        for x in search.proposals(search.causes, own=cause):
+        twins = _twins(search, cause, rest)
+        for x in [*search.proposals(search.causes, own=cause), *twins]:
             if not _independent(search, cause, x):
                 options.setdefault(x.place, x)
-        twins = {place for place, x in options.items() if _twin(search, cause, x)}
         limit, least = _limit(search, cause, rest), search.prior.alternative
-        found.append(Belief.of(cause, worth, options, twins, least, limit))
+        same = [x.place for x in twins]
+        found.append(Belief.of(cause, worth, options, same, least, limit))
     return found
 
 
@@ -105,12 +106,23 @@ def _independent(search: Search, cause: Cause, other: Proposal) -> bool:
     return both > search.score(search.causes)
 
 
-def _twin(search: Search, cause: Cause, other: Proposal) -> bool:
-    """Whether a proposal has the same torque as a cause at its joint."""
-    one, two = cause.candidate, other.candidate
-    if one is None or two is None or one.place[1] != two.place[1]:
-        return False
-    return same_columns(*(search.gap.columns(c.effect) for c in (one, two)))
+def _twins(search: Search, cause: Cause, rest: list[Cause]) -> list[Proposal]:
+    """Proposals with the same torque as a cause at its joint, in its place."""
+    own = cause.candidate
+    if own is None:
+        return []
+    columns, base = search.gap.columns(own.effect), search.columns(rest)
+    whole, taken = search.columns(search.causes), search.taken(rest)
+    ranked = search.pool.ranked(whole, taken, cause.index)
+    twins = [
+        c for c, _ in ranked
+        if c.place != own.place and c.place[1] == own.place[1]
+        and c.place not in search.refused
+        and same_columns(columns, search.gap.columns(c.effect))
+    ]  # fmt: skip
+    now = search.score(rest)
+    each = [search.cause(search.refine(base, c)[0]) for c in twins]
+    return [Proposal(x, search.score([*rest, x]) - now) for x in each]
 
 
 def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str | None:

@@ -19,10 +19,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Candidate, candidate
-from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.evidence import Evidence, Solution
 from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
 from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.refine import refine
@@ -127,11 +128,26 @@ class Posterior:
         """Log posterior of an explanation, up to a constant, [nat]."""
 
         def score() -> float:
-            known = self.evidence.solve(self.columns(causes)).evidence
+            found = self.evidence.solve(self.columns(causes))
+            known = found.evidence + self._log_bounded(found, causes)
             return known - sum(map(self.odds, causes))
 
         found: float = self._cached(score, "score", frozenset(causes))
         return found + self.kind_discount(causes)
+
+    def _log_bounded(self, found: Solution, causes: Sequence[Cause]) -> float:
+        """Log evidence that gains are above their lower bounds, [nat].
+
+        Their prior ends there, and the evidence of a solution knows no bounds: gains
+        that cancel one another would be as good as others.
+        """
+        known = [(c.index, c.candidate.lower) for c in causes if c.candidate]
+        if not known:
+            return 0.0
+        index, lower = map(np.concatenate, zip(*known, strict=True))
+        after = (found.of(index) - lower) / found.std(index)
+        before = -lower * np.sqrt(self.evidence.precision[index])
+        return float(np.sum(log_ndtr(after) - log_ndtr(before)))
 
     def _cached(self, function: Callable[[], Any], *arguments: object) -> Any:
         """Value of a function of some arguments, and of the error of the file."""

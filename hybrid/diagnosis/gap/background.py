@@ -30,7 +30,7 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     robot = gap.robot
     n = robot.size
     full: list[Array] = []
-    for _, body, sampler in gap:
+    for _, body, sampler in gap.lower_band:  # as of effects that differentiate
         columns = body.columns  # (N, n, 10n)
         rows = [sampler(columns[:, i]) for i in range(n)]
         full.append(np.stack(rows, axis=1))

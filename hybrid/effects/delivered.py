@@ -1,0 +1,41 @@
+"""Torque that a drive delivers, where a file lacks friction and rotor of its joint."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.arrays import Array
+
+_MOVING = 0.05  # of the highest speed; at rest friction balances any torque
+_FEWEST_SAMPLES = 100  # for a fit
+
+
+def moving(v: Array) -> NDArray[np.bool_]:
+    """Samples at which a joint moves, by its speed, shape (N,)."""
+    return np.asarray(np.abs(v) > _MOVING * np.abs(v).max(initial=0.0))
+
+
+def delivered_torque(
+    v: Array,
+    a: Array,
+    tau: Array,
+    asked: Array,
+    use: NDArray[np.bool_],
+    *lost: Array,
+) -> Array:
+    """The file's torque plus friction and rotor that the file may lack, shape (N,).
+
+    Args:
+        v: Speed of the joint, shape (N,).
+        a: Its acceleration.
+        tau: Torque of the file, [N·m].
+        asked: Commanded torque, [N·m].
+        use: Samples to which friction and rotor are fitted.
+        lost: Further terms of the fit: torque that the drive loses at these samples.
+    """
+    laws = np.stack([np.sign(v), v, a, *lost], axis=1)
+    residual = asked - tau
+    use = use & np.isfinite(residual)
+    if use.sum() < _FEWEST_SAMPLES:
+        return tau
+    gains = np.linalg.lstsq(laws[use], residual[use], rcond=None)[0]
+    return np.asarray(tau + laws[:, :3] @ gains[:3])
