@@ -462,10 +462,19 @@ def test_a_belief_is_what_the_score_falls_by_with_its_alternatives():
     assert places == [A.place, B.place]
 
 
-def beliefs_of(at):
-    """Beliefs of a search none of whose laws is a limit or a twin."""
+def test_the_law_that_a_cause_has_become_takes_its_place_however_improbable():
+    at = Steps({"": 0.0, "a": 20.0})
+    at.causes, at.found = [A], [sized(A, 2, 20.0), sized(B, 1, 10.0)]
+    (usual,), (limit,) = beliefs_of(at), beliefs_of(at, limit=B.place[0])
+    assert [x.place for x, _ in usual.alternatives] == [A.place]
+    assert [x.place for x, _ in limit.alternatives] == [A.place, B.place]
+    assert limit.simplest(0.5).place == B.place
+
+
+def beliefs_of(at, limit=None):
+    """Beliefs of a search without twins, whose laws are at a limit or not."""
     with pytest.MonkeyPatch.context() as m:
-        m.setattr(belief_module, "_limit", lambda *_: None)
+        m.setattr(belief_module, "_limit", lambda *_: limit)
         m.setattr(belief_module, "_twins", lambda *_: [])
         return beliefs(at)
 

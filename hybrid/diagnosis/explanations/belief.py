@@ -43,14 +43,14 @@ class Belief:
         cause: Cause,
         worth: float,
         options: Mapping[Place, Proposal],
-        twins: Collection[Place],
+        twins: Collection[tuple[str | None, tuple[int, ...]]],
         least: float,
         limit: str | None = None,
     ) -> Belief:
         """Normalise the probabilities of the options in place of a cause, and of none.
 
-        Twins are options with the same torque, and another prior. They are alternatives
-        even below the least probability.
+        Twins are options with the same torque, and another prior, as is the law that a
+        cause has become. They are alternatives even below the least probability.
         """
         known = list(options.values())
         nat = np.array([0.0, *(x.worth for x in known)])
@@ -93,7 +93,7 @@ def beliefs(search: Search) -> list[Belief]:
             if not _independent(search, cause, x):
                 options.setdefault(x.place, x)
         limit, least = _limit(search, cause, rest), search.prior.alternative
-        same = [x.place for x in twins]
+        same = {*(x.place for x in twins), (limit, cause.place[1])}
         found.append(Belief.of(cause, worth, options, same, least, limit))
     return found
 
