@@ -113,7 +113,8 @@ def sizes(
 
     numbers = range(len(kinds))
     noise, whole = squares(()), squares(numbers)
-    less = [squares([i for i in numbers if i != k]) for k in numbers]
+    others = [[i for i in numbers if i != k] for k in numbers]
+    less = [squares(x) if x else noise for x in others]
     more = [np.maximum(whole - x, 0.0) for x in less]
     return [float(np.sqrt((x / noise).max(where=noise > 0, initial=0.0))) for x in more]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pendulum import NOISE, RATE, gap_of
 
-from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.evidence.candidates import Term, candidate
 from hybrid.diagnosis.explanations import account as account_module
 from hybrid.diagnosis.explanations import belief as belief_module
 from hybrid.diagnosis.explanations.account import Account, _slow_share, account
@@ -16,7 +16,6 @@ from hybrid.diagnosis.explanations.belief import (
     Belief,
     _independent,
     _limit,
-    _twins,
     beliefs,
     unknown_worth,
 )
@@ -30,7 +29,7 @@ from hybrid.diagnosis.explanations.joint_laws import (
     smooth_sign,
     waves,
 )
-from hybrid.diagnosis.explanations.proposals import Proposal
+from hybrid.diagnosis.explanations.proposals import Proposal, Proposals
 from hybrid.diagnosis.explanations.refit import _model_variance, _names
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.explanations.servo_fit import _inverse, _least, _solve
@@ -475,7 +474,7 @@ def beliefs_of(at, limit=None):
     """Beliefs of a search without twins, whose laws are at a limit or not."""
     with pytest.MonkeyPatch.context() as m:
         m.setattr(belief_module, "_limit", lambda *_: limit)
-        m.setattr(belief_module, "_twins", lambda *_: [])
+        m.setattr(Proposals, "are_twins", lambda *_: False)
         return beliefs(at)
 
 
@@ -490,8 +489,8 @@ def test_a_proposal_at_another_joint_that_adds_to_a_cause_is_beside_it():
 
 
 def test_twins_have_the_same_torque_at_the_same_joint():
-    """They are found however little evidence there is for them."""
     gap = gap_of(size=2)
+    at = SimpleNamespace(gap=gap)
     rubs, drags, other, soft = (
         candidate(gap, x) for x in (
             Coulomb((0,)), Viscous((0,)), Coulomb((1,)),
@@ -499,21 +498,24 @@ def test_twins_have_the_same_torque_at_the_same_joint():
         )
     )  # fmt: skip
     twin = replace(rubs, effect=AnotherCoulomb((0,)))
+    assert Proposals.are_twins(at, rubs, twin)
+    assert not any(Proposals.are_twins(at, rubs, x) for x in (rubs, drags, other, soft))
+    assert not Proposals.are_twins(at, None, rubs)
+    assert not Proposals.are_twins(at, rubs, None)
 
-    def of(c):
-        return Cause(c.place, np.zeros(1, int), 0.0, c)
 
-    ranked = [(x, -50.0) for x in (rubs, drags, twin, other, soft)]
-    at = SimpleNamespace(
-        gap=gap, refused=frozenset(), causes=[], columns=lambda causes: None,
-        pool=SimpleNamespace(ranked=lambda *_: ranked), taken=lambda rest: set(),
-        refine=lambda base, c: (c, 0.0), cause=of, score=len,
-    )  # fmt: skip
-    (found,) = _twins(at, of(rubs), [LAW])
-    assert found.place == twin.place and found.worth == 1
-    assert _twins(at, of(drags), []) == [] and _twins(at, LAW, []) == []
-    at.refused = frozenset([twin.place])
-    assert _twins(at, of(rubs), []) == []
+def test_a_twin_may_take_the_place_of_a_cause_however_little_evidence_it_has():
+    at = Search(gap_of(Coulomb((0,), {"level": 1.0})))
+    twin = candidate(at.gap, AnotherCoulomb((0,)))
+    at.pool.tried += [Term(twin, at.cause(twin).index)]
+    own = at.cause(candidate(at.gap, Coulomb((0,))))
+    ranked = [
+        (c, 100.0 / (k + 1)) for k, c in enumerate(x.candidate for x in at.pool.tried)
+    ]
+    at.pool.ranked = lambda *_: ranked
+    found = {x.place for x in at.proposals([own], own=own)}
+    assert twin.place in found and own.place in found
+    assert twin.place not in {x.place for x in at.proposals([])}
 
 
 class AnotherCoulomb(Coulomb):

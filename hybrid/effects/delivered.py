@@ -10,7 +10,7 @@ _FEWEST_SAMPLES = 100  # for a fit
 
 
 def moving(v: Array) -> NDArray[np.bool_]:
-    """Samples at which a joint moves, by its speed, shape (N,)."""
+    """Samples at which a joint moves, by its speed in rad/s, shape (N,)."""
     return np.asarray(np.abs(v) > _MOVING * np.abs(v).max(initial=0.0))
 
 
@@ -24,13 +24,15 @@ def delivered_torque(
 ) -> Array:
     """The file's torque plus friction and rotor that the file may lack, shape (N,).
 
+    With too few samples for a fit it is the file's torque.
+
     Args:
-        v: Speed of the joint, shape (N,).
-        a: Its acceleration.
-        tau: Torque of the file, [N·m].
-        asked: Commanded torque, [N·m].
-        use: Samples to which friction and rotor are fitted.
-        lost: Further terms of the fit: torque that the drive loses at these samples.
+        v: Speed of the joint, shape (N,), [rad/s].
+        a: Its acceleration, shape (N,), [rad/s²].
+        tau: Torque of the file, shape (N,), [N·m].
+        asked: Commanded torque, shape (N,), [N·m].
+        use: Samples to which friction and rotor are fitted, shape (N,).
+        lost: Further terms of the fit, shape (N,) each: torque that the drive loses.
     """
     laws = np.stack([np.sign(v), v, a, *lost], axis=1)
     residual = asked - tau

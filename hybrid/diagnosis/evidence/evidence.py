@@ -51,11 +51,11 @@ class Solution:
         return np.asarray(unit[:, None] * cho_solve(self._factor, np.diag(unit)))
 
     def of(self, columns: Index) -> Array:
-        """Gains of some of the columns, in their order."""
+        """Gains of some of the columns, in their order, shape (p,)."""
         return self.gains[self._at(columns)]
 
     def std(self, columns: Index) -> Array:
-        """Posterior standard deviations of the gains of some of the columns."""
+        """Posterior standard deviations of the gains of some of the columns, (p,)."""
         at = self._at(columns)
         unit = np.zeros((len(self.index), len(at)))
         unit[at, np.arange(len(at))] = self._unit[at]

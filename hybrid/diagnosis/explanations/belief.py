@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.diagnosis.evidence.candidates import Place, same_columns, scale_of
+from hybrid.diagnosis.evidence.candidates import Place, scale_of
 from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposals import Proposal
@@ -43,7 +43,7 @@ class Belief:
         cause: Cause,
         worth: float,
         options: Mapping[Place, Proposal],
-        twins: Collection[tuple[str | None, tuple[int, ...]]],
+        twins: Collection[Place],
         least: float,
         limit: str | None = None,
     ) -> Belief:
@@ -58,9 +58,10 @@ class Belief:
         part /= part.sum()
         ranked = sorted(zip(known, part[1:], strict=True), key=lambda x: -x[1])
         own = [x for x in ranked if x[0].place == cause.place]
+        same = {*twins, (limit, cause.place[1])}
         others = [
             x for x in ranked
-            if x[0].place != cause.place and (x[1] >= least or x[0].place in twins)
+            if x[0].place != cause.place and (x[1] >= least or x[0].place in same)
         ]  # fmt: skip
         likely = sum(p for x, p in ranked if x.candidate is not None)
         return cls(cause, worth, (*own, *others), float(likely), limit)
@@ -88,13 +89,15 @@ def beliefs(search: Search) -> list[Belief]:
         rest = [c for c in search.causes if c is not cause]
         worth = now - search.score(rest)
         options: dict[Place, Proposal] = {}
-        twins = _twins(search, cause, rest)
-        for x in [*search.proposals(search.causes, own=cause), *twins]:
+        for x in search.proposals(search.causes, own=cause):
             if not _independent(search, cause, x):
                 options.setdefault(x.place, x)
+        twins = [
+            place for place, x in options.items()
+            if search.are_twins(cause.candidate, x.candidate)
+        ]  # fmt: skip
         limit, least = _limit(search, cause, rest), search.prior.alternative
-        same = {*(x.place for x in twins), (limit, cause.place[1])}
-        found.append(Belief.of(cause, worth, options, same, least, limit))
+        found.append(Belief.of(cause, worth, options, twins, least, limit))
     return found
 
 
@@ -104,25 +107,6 @@ def _independent(search: Search, cause: Cause, other: Proposal) -> bool:
         return False
     both = search.score([*search.causes, other.cause])
     return both > search.score(search.causes)
-
-
-def _twins(search: Search, cause: Cause, rest: list[Cause]) -> list[Proposal]:
-    """Proposals with the same torque as a cause at its joint, in its place."""
-    own = cause.candidate
-    if own is None:
-        return []
-    columns, base = search.gap.columns(own.effect), search.columns(rest)
-    whole, taken = search.columns(search.causes), search.taken(rest)
-    ranked = search.pool.ranked(whole, taken, cause.index)
-    twins = [
-        c for c, _ in ranked
-        if c.place != own.place and c.place[1] == own.place[1]
-        and c.place not in search.refused
-        and same_columns(columns, search.gap.columns(c.effect))
-    ]  # fmt: skip
-    now = search.score(rest)
-    each = [search.cause(search.refine(base, c)[0]) for c in twins]
-    return [Proposal(x, search.score([*rest, x]) - now) for x in each]
 
 
 def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Index
-from hybrid.diagnosis.evidence.candidates import Candidate, Place
+from hybrid.diagnosis.evidence.candidates import Candidate, Place, same_columns
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.posterior import Posterior
 from hybrid.effects import effect_classes
@@ -63,7 +63,8 @@ class Proposals(Posterior):
     ) -> list[Proposal]:
         """Causes that may be added to some causes, or replace ``own``, best first.
 
-        ``at`` are joints, at one of which they act; all by default.
+        Twins of ``own`` are among them however little evidence they have. ``at`` are
+        joints, at one of which they act; all by default.
         """
         whole, rest = self.columns(causes), [c for c in causes if c is not own]
         base, found = self.columns(rest), list[Proposal]()
@@ -80,10 +81,11 @@ class Proposals(Posterior):
         for c, x in ranked:
             k = c.place[1][-1]
             rough[k] = max(rough[k], c.effect.rough**2 * x)
-        ranked = ranked[: self.prior.shortlist]
-        short = [c for c, x in ranked if x > self.prior.refined_share * ranked[0][1]]
+        best = ranked[: self.prior.shortlist]
+        short = [c for c, x in best if x > self.prior.refined_share * best[0][1]]
         if own is not None and own.candidate is not None:
-            short = [own.candidate, *short]
+            itself, more = own.candidate, [c for c, _ in ranked if c not in short]
+            short = [itself, *short, *(c for c in more if self.are_twins(itself, c))]
         now = self.score(rest)
         for c in short:
             cause = self.cause(self.refine(base, c)[0])
@@ -92,6 +94,13 @@ class Proposals(Posterior):
         if laws and not self.library_only:
             found.append(self.best_law(laws, rest, whole, less, rough))
         return sorted(found, key=lambda x: -x.worth)
+
+    def are_twins(self, one: Candidate | None, two: Candidate | None) -> bool:
+        """Whether two effects have the same torque at the same joints."""
+        if one is None or two is None or one.place[1] != two.place[1]:
+            return False
+        columns = (self.gap.columns(c.effect) for c in (one, two))
+        return one.place != two.place and same_columns(*columns)
 
     def best_law(
         self,
