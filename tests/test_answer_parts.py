@@ -804,16 +804,18 @@ def test_the_gap_unseen_is_an_rms_before_and_after_and_at_its_ceiling(monkeypatc
 
     monkeypatch.setattr(module, "_least_squares", lambda search: np.array([9.0, -1.0]))
     squares = {"known": np.array([4.0, 16.0]), "all": np.array([1.0, 4.0])}
+    squares["named"] = np.array([16.0, 16.0])
     test = SimpleNamespace(
         count=np.array([4.0, np.nan]), squares=squares.__getitem__,
         evidence=SimpleNamespace(power=np.array([36.0, 1.0])),
     )  # fmt: skip
     search = SimpleNamespace(test=test, causes="known", whole="all")
-    found = unseen(search, SimpleNamespace(noise=np.array([0.25, 4.0])))
+    found = unseen(search, SimpleNamespace(noise=np.array([0.25, 4.0])), "named")
     assert isinstance(found, Unseen)
     firsts = [x[0] for x in (found.before, found.after, found.least_squares)]
     assert firsts == [3.0, 1.0, 1.5]
     assert found.ceiling[0] == 0.5 and found.noise == (0.5, 2.0)
+    assert found.named[0] == 2.0 and np.isnan(found.named[1])
     assert np.isnan(found.before[1]) and np.isnan(found.least_squares[1])
 
 
@@ -929,11 +931,12 @@ def test_a_region_is_written_with_its_range():
 
 
 def test_of_the_squares_above_noise_what_no_finding_explains_is_unknown():
-    each = (3.0, 1.0), (np.sqrt(5.0), 1.0), (2.0, 1.0), (2.0, 1.0), (1.0, 1.0)
+    squares = (9.0, 1.0), (5.0, 1.0), (4.0, 1.0), (4.0, 1.0), (1.0, 1.0), (6.0, 1.0)
+    each = np.sqrt(squares).tolist()
     made = Diagnosis("arm", ("a", "b"), (3.0, 1.0), (0.5, 0.5), (1.0, 1.0), (), (),
                      "unexplained", 1.0, 0.02, unseen=Unseen(*each))  # fmt: skip
     first, second = made.as_dict()["gap"]
-    assert first["unknown"] == pytest.approx((5 - 1) / (9 - 1))
+    assert first["unknown"] == pytest.approx((6 - 1) / (9 - 1))
     assert second["unknown"] is None  # nothing is above the noise
     assert (first["before"], first["ceiling"]) == (3.0, 2.0)
 

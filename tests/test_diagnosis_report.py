@@ -318,11 +318,17 @@ class TestVerdict:
         """A user can have the least squares without us."""
         (finding,) = many(1)
         own = replace(finding, joints=("shoulder",))
-        unseen = Unseen((4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5))
+        unseen = Unseen(
+            (4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5), (1.2, 1.9)
+        )
         found = replace(planar().diagnosis, findings=(own,), unseen=unseen)
         text = "\n".join(verdict_lines(found))
         assert "shoulder 4 → 1.2; no known cause at elbow 1.9;" in text
         assert "least squares alone leaves less at shoulder 0.9" in text
+        # An effect without a certain name lowers the gap of a joint without a finding.
+        better = replace(unseen, after=(1.2, 0.5), named=(1.2, 1.3))
+        text = "\n".join(verdict_lines(replace(found, unseen=better)))
+        assert "shoulder 4 → 1.2; no known cause at elbow 1.3;" in text
         words = plain(render_diagnosis(replace(planar(), diagnosis=found)))
         assert "No known cause at elbow 1.9 [N·m]." in words
         assert "Least squares alone leaves less at shoulder 0.9 [N·m]." in words
@@ -333,9 +339,14 @@ class TestVerdict:
         assert text == "Torque ripple at shoulder, stribeck at elbow; noise is left"
         several = replace(many(1)[0], joints=("a", "b", "c"))
         some = replace(found, findings=(several, *many(3)), unexplained=0.31)
-        left = Unseen((4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5))
+        left = Unseen(
+            (4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5), (1.2, 1.9)
+        )
         where = headline(replace(some, unseen=left))
         assert where.endswith("; most is left at elbow, 1.9 of 2\u00a0N·m")
+        less = replace(left, after=(1.2, 0.5), named=(1.2, 1.3))
+        where = headline(replace(some, unseen=less))
+        assert where.endswith("; most is left at elbow, 1.3 of 2\u00a0N·m")
         some = replace(some, unseen=None)
         assert headline(some).startswith("Coulomb at 3 joints, coulomb at joint_0, ")
         assert headline(some).endswith(" and 1 more; 31% of the gap is left")

@@ -368,6 +368,9 @@ def test_a_cause_is_exchanged_for_a_simpler_one():
     assert at._simplify() and at.causes == [B, C]
     at.causes, at.beliefs = [A, C], [believed(A, (own, 0.5), (simple, 0.1))]
     assert not at._simplify() and at.causes == [A, C]
+    # Of two causes that become the same law only one does.
+    at.beliefs = [believed(x, (own, 0.5), (simple, 0.4)) for x in (A, C)]
+    assert at._simplify() and at.causes == [B, C]
 
 
 @pytest.mark.parametrize(("share", "near"), [(0.62, True), (0.59, False)])

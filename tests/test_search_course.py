@@ -234,6 +234,11 @@ def test_unknown_laws_give_way_to_effects_that_help_unseen():
     same.whole = [A]
     same.substitute_unknown_laws()
     assert same.did == ["reset"] and same.library_only is False
+    same._replaced = True  # an effect was dropped, and no unknown law took its place
+    same._with_usual, same._converge = at._with_usual, lambda: None
+    same.answers["score"] = {"a": 1.0, "ac": 2.0}
+    same.substitute_unknown_laws()
+    assert same.causes == [A, C] and same._certain == [A]
 
 
 def test_usual_effects_are_tried_with_three_widths_of_their_prior(monkeypatch):

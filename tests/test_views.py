@@ -132,7 +132,7 @@ def test_a_diagnosis_shows_its_findings_and_draws_the_gap_of_each_joint(tmp_path
     assert row["probability"] == 0.97 and "97% probable" in found._repr_html_()
     heights = [bar.get_height() for bar in found.plot().patches]
     assert heights == [2.0, 1.0, 0.1, 0.1]
-    unseen = Unseen(*[(1.0, 0.3)] * 5)
+    unseen = Unseen(*[(1.0, 0.3)] * 6)
     assert len(replace(found, unseen=unseen).plot().patches) == 6
     found.save(tmp_path / "diagnosis.json")
     assert json.loads((tmp_path / "diagnosis.json").read_text()) == found.as_dict()

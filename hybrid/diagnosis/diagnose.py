@@ -220,7 +220,9 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     kinds = [named.get(c, {}) for c in search.known]
     tell("scoring on unseen motions", 0.6)
     scored, effects = explain(search), refit(search)
-    shown, left = unseen(search, found), left_unseen(scored, found)
+    each = zip(search.known, kinds, scored.named, strict=True)
+    certain = [c for c, kind, name in each if kind or name != c.place[0]]
+    shown, left = unseen(search, found, certain), left_unseen(scored, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
     doubts += [_UNTESTED.format(f.effect) for f in causes if _is_untested(f, scored)]
     error, typical = search.file_error, search.prior.file_errors[1]

@@ -144,11 +144,12 @@ class Unseen:
 
     Attributes:
         before: Gap of the simulator's file.
-        after: Gap with the findings.
+        after: Gap with the findings, and with effects of no certain name.
         least_squares: Gap after a least-squares fit of inertia and friction of all
             joints to the training samples.
         ceiling: Gap with the findings and the unknown laws.
         noise: Noise, which no model removes.
+        named: Gap with the findings alone.
     """
 
     before: tuple[float, ...]
@@ -156,6 +157,7 @@ class Unseen:
     least_squares: tuple[float, ...]
     ceiling: tuple[float, ...]
     noise: tuple[float, ...]
+    named: tuple[float, ...]
 
 
 @dataclass(frozen=True, repr=False)
@@ -254,12 +256,12 @@ class Diagnosis(Shown):
         """
         if self.unseen is None:
             return None
-        before, after, noise = (
-            getattr(self.unseen, x)[joint] ** 2 for x in ("before", "after", "noise")
+        before, left, noise = (
+            getattr(self.unseen, x)[joint] ** 2 for x in ("before", "named", "noise")
         )
         if not before > ABOVE**2 * noise:
             return None
-        return float(np.clip((after - noise) / (before - noise), 0.0, 1.0))
+        return float(np.clip((left - noise) / (before - noise), 0.0, 1.0))
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:

@@ -1,5 +1,7 @@
 """Score the gap on held-out motions, and that of plain least squares beside it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hybrid.arrays import Array
@@ -7,6 +9,7 @@ from hybrid.diagnosis.answer.diagnosis import Unseen
 from hybrid.diagnosis.evidence.candidates import usual
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.explanations.account import Account
+from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.background import background
@@ -16,8 +19,11 @@ _FLAT = 1e3  # times the standard deviation of a prior: no prior at all
 _NOISE = 1.5  # times the squares of noise: noise may leave so much on held-out motions
 
 
-def unseen(search: Search, found: Account) -> Unseen:
-    """Score the explanation of a search, and least squares, on held-out motions."""
+def unseen(search: Search, found: Account, named: Sequence[Cause]) -> Unseen:
+    """Score the explanation of a search, and least squares, on held-out motions.
+
+    ``named`` are those of its causes that are findings.
+    """
     test = search.test
 
     def rms(squares: Array) -> tuple[float, ...]:
@@ -30,6 +36,7 @@ def unseen(search: Search, found: Account) -> Unseen:
         least_squares=rms(_least_squares(search)),
         ceiling=rms(test.squares(search.whole)),
         noise=tuple(map(float, np.sqrt(found.noise))),
+        named=rms(test.squares(named)),
     )
 
 

@@ -69,8 +69,8 @@ def _rest(diagnosis: Diagnosis) -> str:
         return "noise is left"
     if not unseen:
         return f"{rest:.0%} of the gap is left"
-    joint, end, x = max(unseen, key=lambda x: x[2]["after"] - x[2]["noise"])
-    sizes = f"{number(x['after'])} of {number(x['before'])}"
+    joint, end, x = max(unseen, key=lambda x: x[2]["named"] - x[2]["noise"])
+    sizes = f"{number(x['named'])} of {number(x['before'])}"
     return f"most is left at {joint}, {sizes}{end or _NO_BREAK + _TORQUE}"
 
 
@@ -129,7 +129,7 @@ def _unseen(diagnosis: Diagnosis) -> Iterator[tuple[str, str, dict[str, float]]]
     unseen, joints = diagnosis.unseen, diagnosis.joints
     if unseen is None or not diagnosis.findings:
         return
-    names = ("before", "after", "least_squares", "noise")
+    names = ("before", "after", "least_squares", "noise", "named")
     for i in np.argsort(-np.nan_to_num(unseen.before)).tolist():
         if np.isfinite(unseen.after[i]):
             gaps = {name: getattr(unseen, name)[i] for name in names}
@@ -151,8 +151,8 @@ def cautions(diagnosis: Diagnosis) -> list[str]:
     named = {joint for f in diagnosis.findings for joint in f.joints}
     unknown, worse = list[str](), list[str]()
     for joint, end, x in _unseen(diagnosis):
-        if joint not in named and x["after"] > ABOVE * x["noise"]:
-            unknown.append(f"{joint} {number(x['after'])}{end}")
+        if joint not in named and x["named"] > ABOVE * x["noise"]:
+            unknown.append(f"{joint} {number(x['named'])}{end}")
         if x["after"] > ABOVE * x["least_squares"]:
             worse.append(f"{joint} {number(x['least_squares'])}{end}")
     said = {"no known cause": unknown, "least squares alone leaves less": worse}

@@ -36,6 +36,8 @@ class Search(Moves):
         whole: The final explanation with its unknown laws, once it has run.
     """
 
+    _replaced = False  # whether an improbable cause was
+
     def __init__(
         self,
         gap: Gap,
@@ -168,7 +170,7 @@ class Search(Moves):
 
         A simulator has no other laws. The effects are not reported as causes.
         """
-        if self.known == self.whole:
+        if self.known == self.whole and not self._replaced:
             self._reset_file_error()  # simpler causes may have taken the place of some
             return
         self.causes, self.library_only = self.known, True
@@ -280,7 +282,8 @@ class Search(Moves):
         before = list(self.causes)
         for belief in self.beliefs:
             simple = belief.simplest(LEAST_GAIN)
-            if simple is not None:
+            # Two causes may become the same law.
+            if simple is not None and simple.cause not in self.causes:
                 self.causes[self.causes.index(belief.cause)] = simple.cause
         return self.causes != before
 
@@ -297,6 +300,7 @@ class Search(Moves):
         cause = min(at, key=lambda b: b.probability).cause
         here = {*cause.place[1]}
         self.refused |= {cause.place}
+        self._replaced = True
         self.causes = [c for c in self.causes if c is not cause]
         self._certain = [c for c in self.causes if not here & {*c.place[1]}]
         laws = [x for x in self.laws.open(self.causes) if here & {*x.place[1]}]
