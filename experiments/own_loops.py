@@ -15,6 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from copy import deepcopy
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -100,13 +101,13 @@ def sizes(
     The gap is of the motion that is driven: that a fault changes the motion is none.
     Beside another fault one may never act: a drive that saturates without a spring.
     """
-    every = OwnLoop(load_arm(arm), kinds, seed, motion).faults
+    every = OwnLoop(load_arm(arm), kinds, seed, motion)
 
     def squares(only: Collection[int]) -> np.ndarray:
         loop = OwnLoop(load_arm(arm), kinds, seed, motion, only)
         for k, fault in zip(only, loop.faults, strict=True):
-            fault.limit = every[k].limit
-        loop.rng = np.random.default_rng(seed)  # the same reference, and noise
+            fault.limit = every.faults[k].limit
+        loop.rng = deepcopy(every.rng)  # motions and noise that are diagnosed
         gap = measure_gap(loop.robot, [loop.record() for _ in range(RECORDINGS)])
         used = np.maximum(gap.moving.sum(axis=0), 1)
         return (np.where(gap.moving, gap.left, 0.0) ** 2).sum(axis=0) / used

@@ -144,7 +144,8 @@ class Unseen:
 
     Attributes:
         before: Gap of the simulator's file.
-        after: Gap with the findings, and with effects of no certain name.
+        after: Gap of the repaired simulator: with the findings, and with known laws in
+            place of unknown ones.
         least_squares: Gap after a least-squares fit of inertia and friction of all
             joints to the training samples.
         ceiling: Gap with the findings and the unknown laws.
