@@ -117,7 +117,8 @@ def sizes(
     others = [[i for i in numbers if i != k] for k in numbers]
     less = [squares(x) if x else noise for x in others]
     more = [np.maximum(whole - x, 0.0) for x in less]
-    return [float(np.sqrt((x / noise).max(where=noise > 0, initial=0.0))) for x in more]
+    least = np.where(noise > 0, noise, np.inf)  # no noise where a joint does not move
+    return [float(np.sqrt((x / least).max())) for x in more]
 
 
 def named(found: Diagnosis) -> list[dict[str, Any]]:
