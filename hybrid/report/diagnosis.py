@@ -55,7 +55,7 @@ def render_diagnosis(result: Result) -> str:
             f.effect: ink for f, ink in zip(diagnosis.findings, inks, strict=True)
         },
         "first": int((result.account.explained + result.account.missed).argmax()),
-        "after": "with the findings" if result.effects else "its own numbers corrected",
+        "after": "repaired" if result.effects else "its own numbers corrected",
         "arm": _arm(result),
         "gaps": [row["above"] for row in rows],
     }
