@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from blind.robots import load_arm
 from outputs import command_line
-from own_fault import KINDS
+from own_fault import KINDS, Fault
 from own_loop import OwnLoop
 from own_motion import Make
 from rich.console import Console
@@ -46,7 +46,8 @@ from hybrid.robot import Robot
 from hybrid.shown import plain
 
 RECORDINGS = 4
-LEFT_OUT = ("coulomb", "viscous", "armature")  # of a bare file
+# Parameters that a bare file declares as zero, as MuJoCo calls them.
+LEFT_OUT = {"coulomb": "frictionloss", "viscous": "damping", "armature": "armature"}
 
 
 def bare(robot: Robot) -> Robot:
@@ -83,7 +84,7 @@ def run(
             }  # fmt: skip
     return said | {
         "verdict": found.verdict,
-        "named": named(found), "intervals": intervals(found, loop),
+        "named": named(found), "intervals": intervals(found, loop, left_out),
         "relative": found.relative,
         "unexplained": found.unexplained,
         "unseen": found.unseen and plain(asdict(found.unseen)),
@@ -135,16 +136,29 @@ def named(found: Diagnosis) -> list[dict[str, Any]]:
     ]
 
 
-def intervals(found: Diagnosis, loop: OwnLoop) -> list[list[Any]]:
-    """Effect, parameter, true value and 95 % interval of each that is known."""
+def intervals(
+    found: Diagnosis, loop: OwnLoop, left_out: Collection[str] = ()
+) -> list[list[Any]]:
+    """Effect, parameter, true value and 95 % interval of each that is known.
+
+    Of what the file leaves out, the plant's whole value is true, and not the fault's.
+    """
     return [
-        [f.effect, x.name, fault.values[x.name], *x.interval]
+        [f.effect, x.name, _true(loop, fault, x.name, left_out), *x.interval]
         for fault in loop.faults
         for f in found.findings
         for x in f.parameters
         if f.effect == fault.kind and x.joint == loop.robot.joints[fault.j]
         if x.name in fault.values
     ]
+
+
+def _true(loop: OwnLoop, fault: Fault, name: str, left_out: Collection[str]) -> float:
+    """True value of a parameter of the effect that a fault is."""
+    if fault.kind not in left_out:
+        return fault.values[name]
+    every = getattr(loop.model, f"dof_{LEFT_OUT[fault.kind]}")
+    return float(every[loop.at_v[fault.j]])
 
 
 def outcome(found: dict[str, Any], left_out: Collection[str] = ()) -> str:

@@ -180,7 +180,8 @@ def test_a_fit_treats_an_effect_as_it_says(name):
         "controller_gain": {"damping": 0.03, "stiffness": 0.001},
         "delay": {"time": 0.03},
         "elasticity": {"compliance": 0.05, "damping": 0.5},
-        "presliding": {"distance": 0.01},
+        "load_friction": {"coefficient": 0.01},
+        "presliding": {"level": 0.01, "distance": 0.01},
         "saturation": {"limit": 0.005},
     }
     assert dict(effect.inexact) == inexact.get(name, {})

@@ -50,7 +50,8 @@ from hybrid.signals.filters import butterworth
 
 
 def cause(name, joint=0, *, known=True, rough=0.0):
-    made = SimpleNamespace(place=(name, (joint,))) if known else None
+    plain = SimpleNamespace(shapes=())
+    made = SimpleNamespace(place=(name, (joint,)), effect=plain) if known else None
     return Cause((name, (joint,)), np.array([hash(name) % 97]), 10.0, made, rough)
 
 
@@ -200,8 +201,26 @@ def test_a_cause_is_exchanged_for_one_of_the_two_best():
     at.causes = [A]
     at.found = [proposal(A, 5.0), proposal(B, 9.0), proposal(C, 20.0)]
     assert at._exchange(A) and at.causes == [B] and at.asked == (A, None)
-    at.causes, at.found = [A], [proposal(B, 5.4), proposal(B, 5.5), proposal(C, 20.0)]
+    at.scores["b"] = 5.4
+    at.causes, at.found = [A], [proposal(B, 5.3), proposal(B, 5.4), proposal(C, 20.0)]
     assert not at._exchange(A) and at.causes == [A]
+
+
+@pytest.mark.parametrize(("worth", "taken"), [(-4.0, True), (-6.0, False)])
+def test_shapes_beside_an_exchanged_cause_adapt_to_it(worth, taken):
+    """A proposal within the odds of a cause may still be better than it looks."""
+    shaped = SimpleNamespace(effect=SimpleNamespace(shapes=(1,)), place=("s", (0,)))
+    near = replace(cause("s"), candidate=shaped)
+    better = replace(near, place=("t", (0,)))
+    scores = {"s": 0.0, "as": 5.0, "bs": worth, "bt": 9.0, "b": 0.0, "t": 0.0}
+    at = Steps(scores, {"as": (1, 1), "bt": (0, 0)}, [proposal(B, worth)])
+    at.refine = lambda base, c: (c, 0.0)
+    at.cause = lambda c: better
+    at.causes = [near, A]
+    assert at._exchange(A) == taken
+    assert at.causes == ([B, better] if taken else [near, A])
+    at.causes, at._certain = [near, A], [near]  # what is certain stays as it is
+    assert not at._exchange(A) and at.causes == [near, A]
 
 
 def test_a_cause_that_lowers_the_score_is_removed():

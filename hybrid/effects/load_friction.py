@@ -12,6 +12,7 @@ class LoadFriction(JointEffect):
     port = Port.DRIVE
     fields = {"coefficient": "friction"}
     dry = True
+    inexact = {"coefficient": 0.01}  # the load is that of the file's masses
     gains = (Quantity("coefficient", "", 0.1, 0.0, 0.6),)
     equation = "τ = μ · |τ_load| · sgn v"
     source = "Wahrburg et al. 2018; Hamon et al. 2010, doi 10.1109/IROS.2010.5649189"

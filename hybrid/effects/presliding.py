@@ -23,7 +23,7 @@ class Presliding(Effect):
     fields = {"level": "friction"}
     memory = ("q", "h")
     becomes = "distance", "lower", "coulomb"
-    inexact = {"distance": 0.01}  # bristles bend by several laws
+    inexact = {"level": 0.01, "distance": 0.01}  # bristles bend by several laws
     gains = (Quantity("level", "N·m", 0.04, 0.0, 0.3, per=(1, 0)),)
     shapes = (Quantity("distance", "rad", 0.005, 1e-5, 0.2),)
     equation = "τ = F · h, dh/dt = (v − |v| h)/δ"

@@ -100,15 +100,27 @@ class Moves(Proposals):
         """Exchange a cause for the best one in its place, or remove it."""
         rest = [c for c in self.causes if c is not cause]
         now, alone = self.score(self.causes), self.score(rest)
-        for found in self.proposals(self.causes, own=cause)[:2]:
-            likely = alone + found.worth > now + LEAST_GAIN
-            if likely and self._take([*rest, found.cause]):
+        found = self.proposals(self.causes, own=cause)
+        for x in [x for x in found if x.cause is not cause][:2]:
+            near = alone + x.worth > now - self.prior.cause
+            if near and self._take(self._with_shapes_refitted(rest, x.cause)):
                 return True
         if alone > now:
             self.causes = rest
             return True
         may_be_several = cause.candidate is None or len(cause.place[1]) > 1
         return may_be_several and self._exchange_for_several(cause, rest)
+
+    def _with_shapes_refitted(self, causes: list[Cause], new: Cause) -> list[Cause]:
+        """Some causes and a new one, to which the shapes of its neighbours adapt."""
+        found = [*causes, new]
+        for c in causes:
+            near = {*c.place[1]} & {*new.place[1]} and c not in self._certain
+            if near and c.candidate is not None and c.candidate.effect.shapes:
+                rest = [x for x in found if x is not c]
+                adapted = self.refine(self.columns(rest), c.candidate)[0]
+                found = max(found, [*rest, self.cause(adapted)], key=self.score)
+        return found
 
     def _exchange_for_several(self, cause: Cause, rest: list[Cause]) -> bool:
         """Exchange a cause for several simpler effects of the library at its joints."""

@@ -133,7 +133,8 @@ class Search(Moves):
         """Start from the usual effects, and keep the more probable explanation.
 
         The first search may have added an unknown law, or an effect that nearly fits,
-        in place of two or three other effects.
+        in place of two or three other effects. What the new one gains in score has to
+        be more than what it loses in held-out loss.
         """
         before = self.causes, self.file_error
         self.causes, self.refused = self._with_usual([]), frozenset()
@@ -144,7 +145,7 @@ class Search(Moves):
             self._converge()
         now, loss = self._judged(self.causes, self.file_error)
         then, lost = self._judged(*before)
-        if then > now or np.any(lost < loss):
+        if then > now or np.any(lost - then < loss - now):
             self.causes = before[0]
             self.set_file_error(before[1])
         self.evidence.scale_prior(self.numbers, self.file_error)
