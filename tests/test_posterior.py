@@ -702,3 +702,39 @@ def test_an_event_leaves_no_more_than_the_error_of_a_real_law(
     at = SimpleNamespace(prior=Prior())
     found = Posterior.explains(at, evidence, {0: columns}, np.array([0.5]), [rest])
     assert found == little
+
+
+@pytest.mark.parametrize(
+    ("torque", "burst", "tested", "stands"),
+    [
+        (1.0, 0.1, 30.0, True),
+        (1.0, 0.3, 30.0, True), (1.0, 0.33, 30.0, False),  # ten times what is usual
+        (1.0, 0.1, 290.0, True), (1.0, 0.1, 310.0, False),  # on other motions
+        (10.0, 0.9, 30.0, True), (10.0, 1.1, 30.0, False),  # a tenth of the event
+    ],
+)  # fmt: skip
+def test_an_event_stands_out_where_no_other_second_is_nearly_as_bad(
+    torque, burst, tested, stands
+):
+    """Ten seconds of 30 samples, eight of them to learn from; the event is a second."""
+    left = np.full(240, 0.1)
+    left[150:180] = burst
+    column = np.zeros((300, 1))
+    column[60:90] = 1.0
+    test = np.zeros((1, 10))
+    test[0, 8:] = 30.0, tested
+    at = SimpleNamespace(
+        prior=Prior(),
+        gap=SimpleNamespace(fold=np.zeros(300), rate=30.0),
+        columns=lambda causes: np.arange(1),
+        columns_of=lambda cause: {0: column},
+        test=SimpleNamespace(second_squares=lambda causes: test),
+        evidence=SimpleNamespace(
+            rows=[np.arange(240)],
+            noise=np.array([0.01]),
+            residuals=lambda index: [left],
+            solve=lambda index: SimpleNamespace(of=lambda own: np.array([torque])),
+        ),
+    )
+    found = Posterior.stands_out(at, SimpleNamespace(index=np.arange(1)), [])
+    assert found == stands
