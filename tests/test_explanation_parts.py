@@ -50,7 +50,7 @@ from hybrid.signals.filters import butterworth
 
 
 def cause(name, joint=0, *, known=True, rough=0.0):
-    plain = SimpleNamespace(shapes=(), repeats="")
+    plain = SimpleNamespace(shapes=())
     made = SimpleNamespace(place=(name, (joint,)), effect=plain) if known else None
     return Cause((name, (joint,)), np.array([hash(name) % 97]), 10.0, made, rough)
 
@@ -447,18 +447,6 @@ def test_the_least_probable_effect_is_replaced_by_an_unknown_law():
     at.laws = Laws()
     assert at._replace_improbable() and at.causes == [LAW]
     assert at.refused == {A.place, C.place}
-
-
-@pytest.mark.parametrize("stands", [True, False])
-def test_an_event_that_does_not_stand_out_is_replaced(stands):
-    happens = SimpleNamespace(effect=SimpleNamespace(repeats="recording"))
-    push = replace(cause("push"), candidate=happens)
-    at = Steps({"apush": 20.0, "a": 9.0, "push": 9.0, "": 0.0})
-    at.laws, at.causes = Laws(), [A, push]
-    at.stands_out = lambda c, causes: c is push and causes == [A, push] and stands
-    at.beliefs = [believed(A, probability=0.99), believed(push, probability=0.99)]
-    assert at._replace_improbable() == (not stands)
-    assert at.causes == ([A, push] if stands else [A])
 
 
 # --- beliefs --------------------------------------------------------------------------

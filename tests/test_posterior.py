@@ -736,5 +736,6 @@ def test_an_event_stands_out_where_no_other_second_is_nearly_as_bad(
             solve=lambda index: SimpleNamespace(of=lambda own: np.array([torque])),
         ),
     )
-    found = Posterior.stands_out(at, SimpleNamespace(index=np.arange(1)), [])
-    assert found == stands
+    happens = SimpleNamespace(index=np.arange(1), is_event=True)
+    assert Posterior.stands_out(at, happens, []) == stands
+    assert Posterior.stands_out(at, SimpleNamespace(is_event=False), [])

@@ -221,11 +221,14 @@ class Posterior:
         return self.explains(self.evidence, columns, gains, lefts)
 
     def stands_out(self, cause: Cause, causes: Sequence[Cause]) -> bool:
-        """Whether one of some causes, an event, happens while little else is left.
+        """Whether one of some causes is a law, or an event without others like it.
 
-        In no other second may more be left than a real law's error of what it does, nor
-        much more than usually. Else it is one of many events, of which none is known.
+        In no other second may more be left than a real law's error of what an event
+        does, nor much more than usually. Else it is one of many, of which none is
+        known.
         """
+        if not cause.is_event:
+            return True
         index, second = self.columns(causes), seconds(self.gap)
         gains = self.evidence.solve(index).of(cause.index)
         columns, left = self.columns_of(cause), self.test.second_squares(causes).sum(0)

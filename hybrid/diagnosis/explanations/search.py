@@ -292,15 +292,10 @@ class Search(Moves):
         """Replace the least probable effect by an unknown law; whether there is one.
 
         An effect at the limit of its law is improbable too: there it is another law,
-        for which it would have been exchanged if the library had that one. So is an
-        event that does not stand out.
+        for which it would have been exchanged if the library had that one.
         """
         least = self.prior.probable
-        at = [
-            b for b in self.beliefs
-            if b.limit is not None or b.probability <= least
-            or (b.cause.is_event and not self.stands_out(b.cause, self.causes))
-        ]  # fmt: skip
+        at = [b for b in self.beliefs if b.limit is not None or b.probability <= least]
         if not at:
             return False
         cause = min(at, key=lambda b: b.probability).cause
