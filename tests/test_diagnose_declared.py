@@ -171,6 +171,7 @@ def test_a_spring_that_the_file_declares_is_no_cause():
     assert sprung().diagnosis.verdict == "no_gap"
 
 
+@pytest.mark.study
 def test_a_declared_spring_that_is_not_there_is_found_with_its_sign():
     (finding,) = sprung(stiffness=np.array([12.0, 0.0])).diagnosis.findings
     assert (finding.effect, finding.joints) == ("spring", ("elbow",))

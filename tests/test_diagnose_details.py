@@ -243,6 +243,7 @@ def test_the_torque_before_a_report_is_reported_as_the_logged_one(effect):
     assert off.max() < 1e-3
 
 
+@pytest.mark.study
 def test_a_joint_may_move_no_body_of_its_own():
     """Two hinges of one body, as a universal joint is written."""
     ball = '<geom size=".1" mass="1" pos=".2 0 0"/>'

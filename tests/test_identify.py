@@ -267,7 +267,9 @@ def test_bad_choices_are_refused_with_what_is_valid(logs):
         )
 
 
-@pytest.mark.parametrize("verb", [identify, diagnose])
+@pytest.mark.parametrize(
+    "verb", [identify, pytest.param(diagnose, marks=pytest.mark.study)]
+)
 def test_a_cutoff_above_half_the_rate_of_a_log_is_warned_of(logs, verb):
     _, warnings = quiet(verb, arm("planar"), logs[:1], cutoff=10_000.0)
     assert any("of 10000 Hz filters nothing" in x and "250 Hz" in x for x in warnings)

@@ -304,7 +304,13 @@ def test_every_verb_refuses_the_same_log_for_the_same_reason(verb):
         VERBS[verb](arm, wrong("scara", "torques swapped"))
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize(
+    "verb",
+    [
+        pytest.param(x, marks=pytest.mark.study if x == "diagnose" else ())
+        for x in VERBS
+    ],
+)
 def test_every_verb_splits_a_log_at_its_gaps(verb):
     x = healthy(robot("scara"), seed=4, duration=6.0)
     holed = gapless(x, np.r_[0:1400, 1600 : len(x.t)])
