@@ -126,10 +126,6 @@ class TestTooMuchFriction:
         assert not any("masses and inertias" in x for x in found.doubts)
 
     @pytest.mark.study
-    @pytest.mark.xfail(
-        reason="torque gains, presliding and a link together are as probable",
-        strict=True,
-    )
     def test_without_laws_of_friction_it_is_unknown_and_the_file_is_doubted(self):
         """Numbers of the file that are so far off are no background."""
         friction = "viscous", "coulomb", "armature"

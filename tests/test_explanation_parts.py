@@ -375,7 +375,7 @@ def believed(cause, *options, probability=0.9, limit=None):
 
 
 def sized(made, parameters, worth=1.0):
-    made.candidate.effect.gains = [0] * parameters
+    made.candidate.effect = SimpleNamespace(gains=[0] * parameters, shapes=[])
     return Proposal(made, worth)
 
 

@@ -254,8 +254,6 @@ def _drop_improbable(
 ) -> tuple[dict[Cause, dict[str, float]], dict[Term, tuple[Candidate, ...]]]:
     """Remove causes from a search that are less probable than an unknown law.
 
-    So are events that do not stand out.
-
     Args:
         search: A search that has run.
         doubts: Warnings, to which those of an uncertain joint are added.
@@ -265,11 +263,7 @@ def _drop_improbable(
         probabilities, its own first; and the alternatives themselves, with the most
         probable one at another joint.
     """
-    beliefs = [
-        b for b in search.beliefs
-        if b.worth > unknown_worth(search, b.cause)
-        and search.stands_out(b.cause, search.whole)
-    ]  # fmt: skip
+    beliefs = [b for b in search.beliefs if b.worth > unknown_worth(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
     kinds, alike, names = {}, {}, search.gap.robot.joints

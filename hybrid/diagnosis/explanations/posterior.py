@@ -29,15 +29,11 @@ from hybrid.diagnosis.evidence.pool import Pool
 from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.other_samples import (
-    TAIL,
-    OtherSamples,
-    add_background,
-)
+from hybrid.diagnosis.explanations.other_samples import OtherSamples, add_background
 from hybrid.diagnosis.explanations.unknown_laws import UnknownLaws
 from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.diagnosis.gap.measure import seconds, unseen_samples
+from hybrid.diagnosis.gap.measure import unseen_samples
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.statistics import robust_std
@@ -219,31 +215,6 @@ class Posterior:
         gains = self.evidence.solve(index).of(cause.index)
         columns, lefts = self.columns_of(cause), self.evidence.residuals(index)
         return self.explains(self.evidence, columns, gains, lefts)
-
-    def stands_out(self, cause: Cause, causes: Sequence[Cause]) -> bool:
-        """Whether one of some causes is a law, or an event without others like it.
-
-        In no other second may more be left than a real law's error of what an event
-        does, nor much more than usually. Else it is one of many, of which none is
-        known.
-        """
-        if not cause.is_event:
-            return True
-        index, second = self.columns(causes), seconds(self.gap)
-        gains = self.evidence.solve(index).of(cause.index)
-        columns, left = self.columns_of(cause), self.test.second_squares(causes).sum(0)
-        own, error = np.zeros_like(left), self.prior.real_law_error
-        for i, x in enumerate(self.evidence.residuals(index)):
-            rows, noise = self.evidence.rows[i], self.evidence.noise[i]
-            torque = columns[i][rows] @ gains if i in columns else np.zeros(len(rows))
-            own += np.bincount(second[rows], torque**2 / noise, len(own))
-            left += np.bincount(second[rows], x**2 / noise, len(own))
-        others = left[own < TAIL * own.max()]
-        if not len(others):
-            return True
-        return bool(
-            others.max() <= max(error**2 * own.max(), np.median(others) / error)
-        )
 
     def explains(
         self, evidence: Evidence, columns: Columns, gains: Array, lefts: Sequence[Array]
