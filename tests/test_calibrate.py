@@ -397,6 +397,19 @@ def test_the_calibrated_file_reads_back_as_the_calibrated_arm(file, tmp_path):
     np.testing.assert_allclose(read.chain.inertial, robot.chain.inertial, atol=1e-12)
 
 
+def test_an_arm_of_a_xacro_file_is_calibrated_as_its_urdf(tmp_path):
+    pytest.importorskip("xacro")
+    text = (MODELS / "planar.urdf").read_text()
+    xacro = text.replace("<robot ", '<robot xmlns:xacro="http://ros.org/xacro" ', 1)
+    (tmp_path / "arm.xacro").write_text(xacro)
+    robot = Robot.load(tmp_path / "arm.xacro")
+    q = np.random.default_rng(1).uniform(-2, 2, (50, robot.size))
+    found = calibrate(robot, measured(disturbed(robot.chain), q, "pose"))
+    found.save(tmp_path / "new.urdf")
+    new, old = Robot.load(tmp_path / "new.urdf").chain, found.robot.chain
+    np.testing.assert_allclose(flange(new, q)[1], flange(old, q)[1], atol=1e-12)
+
+
 def test_classical_rows_recover_the_errors_of_a_published_arm():
     half = np.pi / 2
     rows = [

@@ -28,7 +28,13 @@ from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, ModelFileError
-from hybrid.exports import FORMATS, export, program_from_model, read_manifest
+from hybrid.exports import (
+    FORMATS,
+    export,
+    manifest,
+    program_from_model,
+    read_manifest,
+)
 from hybrid.identification import DynamicModel
 from hybrid.model.model_file import content_from_model
 from hybrid.plant import load_truth
@@ -466,6 +472,16 @@ def test_another_version_is_refused(tmp_path):
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "version": "0.0.9"}))
     with pytest.raises(ModelFileError, match="version 0.0.9 .* export the model again"):
+        read_manifest(tmp_path)
+
+
+def test_files_that_always_change_are_not_taken_unchecked(tmp_path, monkeypatch):
+    export(model_of(Robot.load(MODELS / "planar.xml")), tmp_path, format="json")
+    read, count = manifest.read_json, iter(range(10**6))
+    (tmp_path / next(iter(read(tmp_path / "manifest.json")["files"]))).unlink()
+    again = lambda path: read(path) | {"count": next(count)}  # noqa: E731
+    monkeypatch.setattr(manifest, "read_json", again)
+    with pytest.raises(ModelFileError, match="missing"):
         read_manifest(tmp_path)
 
 

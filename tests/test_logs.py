@@ -187,6 +187,9 @@ def test_a_command_comes_from_the_controller_or_the_trajectory(tmp_path, kind):
         recording = taken(read, path, torque=torque)
         assert not differences(recording)
         assert any("command of /controller" in x for x in recording.reading.notes)
+    counted = taken(read, path, map={"time": {"rate": 50.0}})
+    np.testing.assert_array_equal(counted.command, recording.command)
+    assert counted.t[1] == 1 / 50.0
 
 
 def test_joints_in_several_topics_are_told_apart_by_the_map(tmp_path):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from arms import MODELS
 from pendulum import pendulum
 
 from hybrid.dynamics import inverse_dynamics
@@ -677,6 +678,18 @@ def test_a_joint_without_a_servo_gets_one_where_the_file_has_its_actuators(tmp_p
     path.write_text(none)
     with pytest.raises(RobotError, match="no <actuator> section to put a servo into"):
         write_servos(Robot.load(path), drive, tmp_path / "other.xml")
+
+
+def test_a_xacro_file_becomes_an_mjcf_file_with_the_servos(tmp_path):
+    pytest.importorskip("xacro")
+    text = (MODELS / "planar.urdf").read_text()
+    xacro = text.replace("<robot ", '<robot xmlns:xacro="http://ros.org/xacro" ', 1)
+    (tmp_path / "arm.xacro").write_text(xacro)
+    robot = Robot.load(tmp_path / "arm.xacro")
+    drive = Drive.declared(robot).at(stiffness=[30.0, 22.0])
+    write_servos(robot, drive, tmp_path / "new.xml")
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
+    assert sorted(written.actuator_gainprm[:, 4]) == pytest.approx([22.0, 30.0])
 
 
 def test_the_logs_say_which_joints_rest_and_what_was_reached_and_touched():

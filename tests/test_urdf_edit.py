@@ -34,7 +34,13 @@ def robot_of(tmp_path, drives):
 
 @pytest.mark.parametrize(
     ("inside", "reflected"),
-    [("", 0.0), (GEAR, 0.0), (ROTOR, 2e-3), (GEAR + ROTOR, 0.2)],
+    [
+        ("", 0.0),
+        (GEAR, 0.0),
+        (ROTOR, 2e-3),
+        (GEAR + ROTOR, 0.2),
+        ("<drake:gear_ratio/>" + ROTOR, 2e-3),
+    ],
 )
 def test_a_rotor_is_written_into_the_drive_that_a_file_has(inside, reflected, tmp_path):
     """On its own side of the gear: there a hundredth of it turns ten times as fast."""
@@ -54,6 +60,18 @@ def test_a_rotor_is_written_into_the_drive_that_a_file_has(inside, reflected, tm
         np.testing.assert_array_equal(
             getattr(again.chain, name), getattr(robot.chain, name)
         )
+
+
+def test_a_drive_of_several_joints_is_that_of_the_first(tmp_path):
+    both = DRIVE.format("first", ROTOR).replace(
+        '<joint name="first"/>', '<joint name="first"/><joint name="second"/>'
+    )
+    robot = robot_of(tmp_path, both)
+    np.testing.assert_allclose(robot.chain.armature, [2e-3, 0.0])
+    new = replace(robot, chain=replace(robot.chain, armature=np.array([2e-3, 0.5])))
+    build_simulator(new, kind="urdf").write(tmp_path / "new.urdf")
+    again, _ = quiet(Robot.load, tmp_path / "new.urdf")
+    np.testing.assert_allclose(again.chain.armature, [2e-3, 0.5])
 
 
 def test_a_joint_without_a_drive_gets_one(tmp_path):

@@ -83,15 +83,15 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
         ModelFileError: It is of another version, or a file was changed.
     """
     folder = Path(folder)
-    for _ in range(_TRIES):
+    for left in reversed(range(_TRIES)):
         content: dict[str, Any] = _read(folder / FILE)
         try:
             for each in (content, *content["beside"].values()):
                 _check_files(folder, each["files"])
             break
         except ModelFileError:
-            if content == _read(folder / FILE):  # it was not replaced meanwhile
-                raise
+            if not left or content == _read(folder / FILE):
+                raise  # it was not replaced meanwhile
     return content
 
 

@@ -177,22 +177,24 @@ def _with_command(
 
     The first command also holds before its time, and the last one after its time.
     """
-    time, *used = commanded.columns
-    wanted = tuple(u.index for u in commanded.columns)
+    used = commanded.columns[1:]
+    # Column 0 of each table is its clock: nanoseconds of the same epoch.
+    wanted = (0, *(u.index for u in used))
     blocks = table.load(wanted)
     columns = {k: np.concatenate([block[k] for block in blocks]) for k in wanted}
-    start = main.load((0,))[0][0][0]
-    # Both clocks count nanoseconds of the same epoch.
-    at = seconds(columns[time.index] - start, "ns")[0] + recording.t[0]
+    own = main.load((0,))[0][0]
+    at, t = ((x - own[0]) * 1e-9 for x in (columns[0], own))
     reading = recording.reading
     assert reading is not None
-    if len(at) < 2 or at[-1] < recording.t[0] or at[0] > recording.t[-1]:
+    if len(at) < 2 or at[-1] < t[0] or at[0] > t[-1]:
         note = f"command of {table.name}: at other times than the joints"
-        return replace(recording, reading=replace(reading, notes=(note,)))
+        return replace(
+            recording, reading=replace(reading, notes=(*reading.notes, note))
+        )
     command = np.stack(
-        [np.interp(recording.t, at, columns[u.index] * u.factor) for u in used], axis=1
+        [np.interp(t, at, columns[u.index] * u.factor) for u in used], axis=1
     )
-    share = np.mean((recording.t >= at[0]) & (recording.t <= at[-1]))
+    share = np.mean((t >= at[0]) & (t <= at[-1]))
     note = (
         f"command of {table.name}, interpolated; it covers {share:.0%} of the samples "
         "and is held before and after"

@@ -15,7 +15,8 @@ from hybrid.robot.mujoco_model import compile_spec, compile_without_assets
 from hybrid.robot.tree import Node, Tree, serial_joints
 from hybrid.robot.urdf import limit, range_of, read_urdf
 
-SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
+URDF = (".urdf", ".xacro")
+SUFFIXES = (*URDF, ".xml", ".mjcf")
 Read = tuple[dict[str, Any], Any]  # fields, and MuJoCo's model or None
 
 
@@ -60,13 +61,10 @@ def _of_file(
         )
     if not path.is_file():
         raise RobotError(f"{path}: no such robot file")
-    if suffix == ".xacro":
-        content = expanded(path).encode()
-    else:
-        check_demand(path)
-        content = path.read_bytes()
-    if suffix in (".urdf", ".xacro"):
+    if suffix in URDF:
+        content = urdf_content(path)
         return {**read_urdf(content, path, joints, held), "path": str(path)}, None
+    check_demand(path)
     model, missing = compile_without_assets(path)
     fields = fields_of_mujoco(model, str(path), joints, held, missing)
     return {**fields, "name": path.stem, "path": str(path)}, model
@@ -134,8 +132,11 @@ def _tree(model: Any) -> Tree:
     return Tree("pinocchio.Model", nodes)
 
 
-def expanded(path: Path) -> str:
-    """Expand a xacro file to URDF."""
+def urdf_content(path: Path) -> bytes:
+    """Content of a URDF file; a xacro file is expanded."""
+    if path.suffix.lower() != ".xacro":
+        check_demand(path)
+        return path.read_bytes()
     command = f"xacro {path.name} > {path.name.split('.')[0]}.urdf"
     try:
         import xacro
@@ -144,7 +145,7 @@ def expanded(path: Path) -> str:
             f"{path}: install xacro to expand it, or run `{command}`"
         ) from error
     try:
-        return str(xacro.process_file(str(path)).toxml())
+        return str(xacro.process_file(str(path)).toxml()).encode()
     except Exception as error:  # expressions in the file raise any type
         reason = " ".join(str(error).split())
         raise RobotError(

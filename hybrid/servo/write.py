@@ -15,6 +15,7 @@ from hybrid.robot.edit.document import Document, element, joint_tag
 from hybrid.robot.edit.drives import actuator_tags
 from hybrid.robot.edit.extra_friction import remove_passive_motors
 from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
+from hybrid.robot.read import URDF
 from hybrid.servo.drive import Drive
 from hybrid.servo.model import dampings, file_step, motors, servo_spec, springs, stops
 
@@ -39,7 +40,7 @@ def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
     Raises:
         RobotError: The file is gone, or a joint or actuator stands in another file.
     """
-    own = Path(robot.path).suffix.lower() != ".urdf"
+    own = Path(robot.path).suffix.lower() not in URDF
     document = Document.load(robot.path) if own else _skeleton(robot)
     if drive["roll"][0] or drive["pitch"][0] or (drive["mass"] != 1.0).any():
         inertial = robot.chain.inertial * drive["mass"][:, None]

@@ -16,6 +16,7 @@ import numpy as np
 from hybrid.errors import RobotError
 from hybrid.robot.edit.markup import markup, read_markup
 from hybrid.robot.mujoco_model import compile_spec
+from hybrid.robot.read import urdf_content
 from hybrid.robot.robot import Robot
 
 _VALUE = r"""(\s+{}\s*=\s*)("[^"]*"|'[^']*')"""
@@ -80,8 +81,10 @@ class Document:
 
     @classmethod
     def load(cls, path: str | Path) -> Document:
-        """Read a file, and replace each ``include`` by the included content."""
+        """Read a file. A xacro file is expanded, and each ``include`` replaced."""
         path = Path(path)
+        if path.suffix.lower() == ".xacro":
+            return cls(urdf_content(path), path)
         return cls(_with_included(path, path.parent, ()), path)
 
     @property

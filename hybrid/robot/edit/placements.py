@@ -16,6 +16,7 @@ from hybrid.robot.chain import Chain
 from hybrid.robot.edit.document import Document
 from hybrid.robot.mjcf import joint_frame, matrix
 from hybrid.robot.mujoco_model import compile_without_assets
+from hybrid.robot.read import URDF
 from hybrid.robot.urdf import origin, roll_pitch_yaw, urdf_root
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def write_placements(robot: Robot, chain: Chain, path: str | Path) -> None:
     """
     document = Document.load(robot.path)
     changes = _changes(robot.chain, chain)
-    if Path(robot.path).suffix.lower() == ".urdf":
+    if Path(robot.path).suffix.lower() in URDF:
         _edit_urdf(document, changes)
     else:
         _edit_mjcf(document, robot, changes)

@@ -8,7 +8,7 @@ from hybrid.errors import HybridWarning, RobotError
 from hybrid.robot.build import add_motors, mjcf_skeleton, spec_text
 from hybrid.robot.edit.document import Document, spec_of
 from hybrid.robot.edit.urdf_from_mjcf import urdf_from_mjcf
-from hybrid.robot.read import expanded, read_robot
+from hybrid.robot.read import URDF, read_robot
 from hybrid.robot.robot import Robot
 from hybrid.robot.urdf import read_urdf
 
@@ -38,9 +38,9 @@ def source(robot: Robot, kind: str) -> Source:
     express. For an arm without a file, the new file has links and joints only.
     """
     path = Path(robot.path)
-    exists, urdf = path.is_file(), path.suffix.lower() in (".urdf", ".xacro")
+    exists, urdf = path.is_file(), path.suffix.lower() in URDF
     if exists and (kind == "urdf") == urdf:
-        document = _own_document(path)
+        document = Document.load(path)
         found = read(document, robot, kind)
         if found.fingerprint() != robot.fingerprint():
             raise RobotError(f"{path}: is of another arm than {robot.name!r}")
@@ -55,12 +55,6 @@ def source(robot: Robot, kind: str) -> Source:
         text = mjcf_skeleton(robot) if kind == "mjcf" else urdf_from_mjcf(robot)[0]
     document = Document(text.encode(), path)
     return Source(document, read(document, robot, kind), own, notes)
-
-
-def _own_document(path: Path) -> Document:
-    if path.suffix.lower() == ".xacro":
-        return Document(expanded(path).encode(), path)
-    return Document.load(path)
 
 
 def read(document: Document, robot: Robot, kind: str) -> Robot:
@@ -82,7 +76,7 @@ def read(document: Document, robot: Robot, kind: str) -> Robot:
 def _converted(robot: Robot) -> str:
     """Convert a URDF file to MJCF; empty if MuJoCo does not read the same arm."""
     try:
-        spec = spec_of(_own_document(Path(robot.path)), robot)
+        spec = spec_of(Document.load(robot.path), robot)
         spec.compiler.discardvisual = False
         spec.compiler.fusestatic = False
         add_motors(spec, robot)

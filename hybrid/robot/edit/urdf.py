@@ -78,13 +78,12 @@ def _inertial(document: Document, link: Tag, body: Body) -> None:
 def _rotor(document: Document, joint: str, inertia: float) -> None:
     """Write a rotor to the drive of a joint, or to a new one, as Drake reads it."""
     for drive in document.find("transmission"):
-        if not any(
-            x.attributes.get("name") == joint for x in document.children(drive, "joint")
-        ):
+        moved = document.children(drive, "joint")[:1]
+        if [x.attributes.get("name") for x in moved] != [joint]:
             continue
         for motor in document.children(drive, "actuator"):
             gear = document.children(motor, "drake:gear_ratio")
-            ratio = float(gear[0].attributes["value"]) if gear else 1.0
+            ratio = float(gear[0].attributes.get("value", "1")) if gear else 1.0
             if not document.children(motor, "drake:rotor_inertia"):
                 _declare(document)
             given = {"value": inertia / ratio**2}
