@@ -631,9 +631,9 @@ def unexplained(depends, missed, verdict="unexplained"):
     ("depends", "name"),
     [
         ("past of load", "a multisine"), ("what does not recur", "twice"),
-        ("events", "twice"), ("lines in time", "twice"), ("speed and time", "again"),
-        ("waves in position", "ladder"), ("direction and load", "poses"),
-        ("position of elbow", "poses"), ("posture", "poses"),
+        ("waves in time", "twice"), ("speed and time", "again"),
+        ("waves of position", "ladder"), ("direction and load", "poses"),
+        ("position of elbow", "poses"),
         ("acceleration", "one path"), ("speed", "ladder"), ("", "ladder"),
     ],
 )  # fmt: skip

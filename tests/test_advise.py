@@ -255,10 +255,10 @@ def test_a_joint_that_did_not_move_shall_climb_a_ladder_of_speeds(tmp_path):
 
 
 def test_a_tone_at_one_frequency_is_held_against_other_gains_of_the_servo():
-    assert "gains of the servo at half" in unexplained("lines in time").experiment
+    assert "gains of the servo at half" in unexplained("waves in time").experiment
 
 
-@pytest.mark.parametrize("depends", ["events", "what does not recur"])
+@pytest.mark.parametrize("depends", ["what does not recur"])
 def test_whether_it_recurs_is_seen_by_moving_twice(depends):
     assert "twice" in unexplained(depends).experiment
 

@@ -8,10 +8,10 @@ import pytest
 from pendulum import gap_of, pendulum, with_torque
 
 from hybrid.diagnosis import diagnose as diagnose_module
-from hybrid.diagnosis.answer import command, motion_gap
+from hybrid.diagnosis.answer import command, events, motion_gap
 from hybrid.diagnosis.answer.command import Link, _excess, _plausible, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Shrink, Unseen
-from hybrid.diagnosis.answer.events import events_at_rest
+from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import (
     changed_joints,
     finding_of,
@@ -53,6 +53,7 @@ from hybrid.diagnosis.gap.measure import seconds
 from hybrid.effects.armature import Armature
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.command_latency import CommandLatency
+from hybrid.effects.contact import Contact
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
@@ -207,7 +208,7 @@ class Standing(SimpleNamespace):
         yield None, SimpleNamespace(wrench_columns=lambda last: moment), lambda x: x
 
 
-def standing(left, *, mask=None, v=None, size=1, count=1, source="log"):
+def standing(left, *, mask=None, v=None, q=None, size=1, count=1, source="log"):
     """A gap of an arm that stands, 100 Hz, with a rated torque of 50 N·m."""
     rows = len(left)
     v = np.zeros((rows, size)) if v is None else v
@@ -216,7 +217,8 @@ def standing(left, *, mask=None, v=None, size=1, count=1, source="log"):
     return Standing(
         robot=pendulum(size), rate=100.0, left=left,
         sampled=SimpleNamespace(
-            t=t, v=v, mask=np.ones(rows, dtype=bool) if mask is None else mask
+            t=t, v=v, q=0 * v if q is None else q,
+            mask=np.ones(rows, dtype=bool) if mask is None else mask
         ),
         scales=[SimpleNamespace(torque=50.0)] * size,
         trajectory=np.arange(rows) // each,
@@ -288,6 +290,29 @@ def test_a_push_needs_a_second_of_rest_in_its_own_log():
     left[:400] += 30.0  # each log has a holding torque of its own
     (found,) = events_at_rest(standing(left, count=2, source=""))
     assert found.recording == "1" and found.start == 2.0
+
+
+@pytest.mark.parametrize(("away", "told"), [(0.019, 1), (0.021, 0)])
+def test_what_a_posture_lacks_all_the_time_is_no_push(away, told):
+    left, q = noisy(), np.zeros((400, 1))
+    left[250:] += 3.0
+    q[250:] += away
+    assert len(events_at_rest(standing(left, q=q))) == told
+    left[300:320] += 2.0
+    assert len(events_at_rest(standing(left, q=q))) == 1
+
+
+def test_a_contact_at_a_time_of_one_log_is_of_that_log():
+    touch = Contact((0,), {"start": 1.0, "duration": 0.5, "force_x": 2.0})
+    for apart, name in ((100.0, "second"), (0.0, "each recording")):
+        gap = standing(np.zeros((400, 1)), count=2)
+        gap.motions = [SimpleNamespace(source=x) for x in ("first", "second")]
+        gap.sampled.t[:200] -= apart
+        wrenches = np.zeros((400, 1, 6))
+        with pytest.MonkeyPatch.context() as m:
+            m.setattr(events, "_wrenches", lambda gap, x=wrenches: x)
+            (found,) = contacts_in_motion(gap, [touch])
+        assert found.recording == name
 
 
 # --- regions --------------------------------------------------------------------------
@@ -805,6 +830,7 @@ def test_the_gap_unseen_is_an_rms_before_and_after_and_at_its_ceiling(monkeypatc
     monkeypatch.setattr(module, "_least_squares", lambda search: np.array([9.0, -1.0]))
     squares = {"known": np.array([4.0, 16.0]), "all": np.array([1.0, 4.0])}
     squares["named"] = np.array([16.0, 16.0])
+    monkeypatch.setattr(module, "_simulated", lambda search, causes: squares[causes])
     test = SimpleNamespace(
         count=np.array([4.0, np.nan]), squares=squares.__getitem__,
         evidence=SimpleNamespace(power=np.array([36.0, 1.0])),

@@ -113,11 +113,11 @@ def test_causes_are_taken_that_lower_both_losses(loss, taken):
     at = Steps({"": 0.0, "a": 9.0}, {"": (1.0, 1.0), "a": loss})
     assert at._take([A]) == taken and at.causes == [A] * taken
     at.causes = []
-    assert at._is_cross_validated([A]) == taken
+    assert at.is_cross_validated([A]) == taken
     at.once = [A]
-    assert at._is_cross_validated([A])
+    assert at.is_cross_validated([A])
     at.once, at.scores["ab"] = [B], -2.0
-    assert not at._is_cross_validated([A, B])
+    assert not at.is_cross_validated([A, B])
 
 
 def test_what_a_new_cause_makes_superfluous_is_removed_weakest_first():
@@ -475,12 +475,24 @@ def test_a_belief_is_what_the_score_falls_by_with_its_alternatives():
     # Another effect at the other joint raises the score beside it: no alternative.
     beside = cause("b", 1)
     at.found = [sized(A, 1, 20.0), sized(B, 1, 19.0), sized(beside, 1, 18.0)]
+    at.is_cross_validated = lambda causes: False
     at.gap = SimpleNamespace(columns=lambda effect: {0: np.zeros((2, 1))})
     first, second = beliefs_of(at)
     assert (first.cause, first.worth) == (A, 20.0)
     assert (second.cause, second.worth) == (C, 5.0)
     places = [x.place for x, _ in first.alternatives]
     assert places == [A.place, B.place]
+
+
+def test_what_scores_more_and_foretells_worse_is_no_alternative():
+    at = Steps({"": 0.0, "a": 20.0})
+    at.causes, at.found = [A], [sized(A, 1, 20.0), sized(B, 1, 40.0)]
+    for kept in (True, False):
+        at.is_cross_validated = lambda causes, kept=kept: kept
+        (belief,) = beliefs_of(at)
+        assert [x.place for x, _ in belief.alternatives] == [A.place, B.place][
+            : 1 + kept
+        ]
 
 
 def test_the_law_that_a_cause_has_become_takes_its_place_however_improbable():

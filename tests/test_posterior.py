@@ -320,9 +320,9 @@ def test_a_cause_lowers_the_squares_on_samples_that_nothing_was_learnt_from():
     falls = [at.unseen_gain(at.causes)[c] for c in at.causes]
     assert falls[0] > 50 and falls[1] > 50 and abs(falls[2]) < 5
     assert at.unseen_gain([]) == {}
-    assert at._is_cross_validated(at.causes) is False or abs(falls[2]) < 5
+    assert at.is_cross_validated(at.causes) is False or abs(falls[2]) < 5
     at.causes = []
-    assert at._is_cross_validated([cause(at, RUBS)])
+    assert at.is_cross_validated([cause(at, RUBS)])
 
 
 def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():

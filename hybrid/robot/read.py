@@ -16,7 +16,7 @@ from hybrid.robot.tree import Node, Tree, serial_joints
 from hybrid.robot.urdf import limit, range_of, read_urdf
 
 URDF = (".urdf", ".xacro")
-SUFFIXES = (*URDF, ".xml", ".mjcf")
+SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 Read = tuple[dict[str, Any], Any]  # fields, and MuJoCo's model or None
 
 

@@ -37,13 +37,11 @@ _IF_ANY = "; it settles whether it is {}, or else bounds it"
 _ISOLATING = (
     ("past", "a multisine"),
     ("recur", "a random motion of all joints twice"),
-    ("events", "a random motion of all joints twice"),
-    ("lines in time", "a random motion of all joints twice"),
+    ("waves in time", "a random motion of all joints twice"),
     ("time", "a random motion of all joints again"),
     ("wave", "a ladder of speeds"),
     ("load", "moves between poses"),
     ("position of", "moves between poses"),
-    ("posture", "moves between poses"),
     ("acceleration", "one path"),
     ("", "a ladder of speeds"),
 )

@@ -1,11 +1,11 @@
 """What happened at a time: contacts of a moving arm, and pushes on one at rest."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect
 from hybrid.identification.preparation import STANDING
@@ -14,6 +14,7 @@ from hybrid.statistics import robust_std
 _AT_REST = 0.01  # rad/s or m/s
 _SIGNIFICANT = 8.0  # standard deviations of the holding torque
 _LEAST = 0.01  # of the rated torque
+_SAME_POSTURE = 0.02  # rad or m, between two samples at rest
 _SHORTEST, _PAUSE = 0.05, 0.2  # s, of an event, and between two events
 _LEAST_REST = 1.0  # s at rest, to estimate the holding torque
 
@@ -44,11 +45,12 @@ def contacts_in_motion(gap: Gap, effects: Iterable[Effect]) -> tuple[Event, ...]
     found, t = [], gap.sampled.t
     for effect in (e for e in effects if e.repeats == "recording"):
         number, start = int(effect.values["recording"]), effect.values["start"]
-        number = 0 if len(gap.motions) == 1 else number
         end = start + effect.values["duration"]
         during = gap.sampled.mask & (t >= start) & (t < end)
         if number >= 0:
             during &= gap.trajectory == number
+        own = np.unique(gap.trajectory[during])
+        number = int(own[0]) if len(own) == 1 else number
         if during.any():
             name = gap.motions[number].source if number >= 0 else "each recording"
             force = effect.gain_values
@@ -66,29 +68,39 @@ def _wrenches(gap: Gap) -> Array:
 
 
 def events_at_rest(gap: Gap) -> tuple[Event, ...]:
-    """Find pushes while no joint moves, in order of time."""
+    """Find pushes while no joint moves, in order of time.
+
+    What the simulator lacks differs from posture to posture. Each is compared with the
+    median torque in the same one.
+    """
     sampled = gap.sampled
     v = np.abs(sampled.v)
     slow = v <= np.maximum(STANDING * v.max(axis=0, initial=0.0), _AT_REST)
     still = sampled.mask & slow.all(axis=1)
-    rated = np.array([s.torque for s in gap.scales])
-    found = []
-    push = _wrenches(gap)
-    for r, motion in enumerate(gap.motions):
-        rows = np.flatnonzero(still & (gap.trajectory == r))
-        if len(rows) < _LEAST_REST * gap.rate:
-            continue
-        x = gap.left[rows] - np.median(gap.left[rows], axis=0)
-        noise = robust_std(x)
-        least = np.maximum(_SIGNIFICANT * noise, _LEAST * rated)
-        at = np.flatnonzero(np.any(np.abs(x) > least, axis=1))
-        ends = np.flatnonzero(np.diff(rows[at]) > _PAUSE * gap.rate) + 1
-        for own in np.split(at, ends):
-            if len(own) < max(_SHORTEST * gap.rate, 2):
-                continue
-            torque, t = x[own].mean(axis=0), sampled.t[rows[own]].tolist()
-            columns = push[rows[own]].mean(axis=0)
-            force = np.linalg.lstsq(columns, torque, rcond=1e-3)[0]
-            both = tuple(torque.tolist()), tuple(force.tolist())
-            found.append(Event(motion.source or str(r), t[0], t[-1], *both))
+    found, push = list[Event](), _wrenches(gap)
+    for r in range(len(gap.motions)):
+        rests = np.flatnonzero(still & (gap.trajectory == r))
+        away = np.abs(np.diff(sampled.q[rests], axis=0)).max(axis=1, initial=0.0)
+        for rows in np.split(rests, np.flatnonzero(away > _SAME_POSTURE) + 1):
+            found += _pushes(gap, rows, push)
     return tuple(found)
+
+
+def _pushes(gap: Gap, rows: Index, push: Array) -> Iterator[Event]:
+    """Pushes at some samples of a recording, at rest in one posture."""
+    if len(rows) < _LEAST_REST * gap.rate:
+        return
+    number = int(gap.trajectory[rows[0]])
+    rated = np.array([s.torque for s in gap.scales])
+    x = gap.left[rows] - np.median(gap.left[rows], axis=0)
+    least = np.maximum(_SIGNIFICANT * robust_std(x), _LEAST * rated)
+    at = np.flatnonzero(np.any(np.abs(x) > least, axis=1))
+    ends = np.flatnonzero(np.diff(rows[at]) > _PAUSE * gap.rate) + 1
+    for own in np.split(at, ends):
+        if len(own) < max(_SHORTEST * gap.rate, 2):
+            continue
+        torque, t = x[own].mean(axis=0), gap.sampled.t[rows[own]].tolist()
+        columns = push[rows[own]].mean(axis=0)
+        force = np.linalg.lstsq(columns, torque, rcond=1e-3)[0]
+        both = tuple(torque.tolist()), tuple(force.tolist())
+        yield Event(gap.motions[number].source or str(number), t[0], t[-1], *both)

@@ -4,25 +4,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.evidence.candidates import with_gains
 from hybrid.diagnosis.explanations.explanation import Explanation
+from hybrid.diagnosis.explanations.physical import is_physical, nearest_physical
 from hybrid.dynamics import inverse_dynamics
-from hybrid.dynamics.cone import nearest_above
-from hybrid.dynamics.pseudo_inertia import (
-    inertial_per_stacked,
-    is_consistent,
-    nominal_bodies,
-    stacked,
-)
 from hybrid.effects import Effect
 from hybrid.model.declared import declared_effects
 from hybrid.robot import Robot
 
 _NUMBERS = "damping", "frictionloss", "quadratic", "cubic", "stiffness"  # of a file
-_MARGIN = 1e-4  # smallest pseudo-inertia of a link, as a share of the file's
 # An elasticity or a backlash needs a rotor. If the file declares none, this share of
 # the inertia that the joint moves is assumed.
 _ROTOR = 0.02
@@ -89,21 +81,9 @@ def _mean_inertia(scored: Explanation, joint: int) -> float:
 
 def _physical(scored: Explanation, inertial: Array) -> Array:
     """The physical links that are nearest to given links, in the metric of torque."""
-    if (is_consistent(inertial) | ~inertial.any(axis=1)).all():
+    if is_physical(inertial):  # as with all effects together
         return inertial
-    chain, n = scored.gap.robot.chain, len(inertial)
-    columns = scored.index[: 10 * n]
+    columns = scored.index[: inertial.size]
     A, _ = scored.evidence.normal(columns)
-    P = A + np.diag(scored.evidence.precision[columns])
-    bodies = nominal_bodies(chain, chain.inertial)
-    frame = block_diag(*map(inertial_per_stacked, np.linalg.cholesky(bodies)))
-    # Each link is scaled to unit mean curvature: the solver's tolerances are absolute.
-    curvature = np.diag(frame.T @ P @ frame).reshape(n, 10).mean(axis=1)
-    size = np.repeat(np.sqrt(np.maximum(curvature / curvature.max(), 1e-5)), 10)
-    frame /= size
-    metric = frame.T @ P @ frame
-    metric = np.asarray(metric / np.linalg.eigvalsh(metric)[-1])
-    goal = np.asarray(np.linalg.solve(frame, inertial.ravel()), dtype=np.float64)
-    least = np.asarray(_MARGIN * np.tile(stacked(np.eye(4)), n) * size)
-    z, _ = nearest_above(goal, metric, least, n)
-    return np.asarray((frame @ z).reshape(n, 10))
+    metric = A + np.diag(scored.evidence.precision[columns])
+    return nearest_physical(inertial, metric, scored.gap.robot.chain)

@@ -11,6 +11,7 @@ from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.explanation import Explanation
+from hybrid.diagnosis.explanations.physical import solve_physical
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.background import background
 from hybrid.regression.least_squares import pseudo_solve
@@ -32,12 +33,25 @@ def unseen(search: Search, found: Account, named: Sequence[Cause]) -> Unseen:
 
     return Unseen(
         before=rms(test.evidence.power),
-        after=rms(test.squares(search.causes)),
+        after=rms(_simulated(search, search.causes)),
         least_squares=rms(_least_squares(search)),
         ceiling=rms(test.squares(search.whole)),
         noise=tuple(map(float, np.sqrt(found.noise))),
-        named=rms(test.squares(named)),
+        named=rms(_simulated(search, named)),
     )
+
+
+def _simulated(search: Search, causes: Sequence[Cause]) -> Array:
+    """Squares that a simulator with some causes leaves on held-out samples, (n,).
+
+    Its links are physical, and it has nothing of the background but numbers of a file.
+    """
+    columns, test = search.columns(causes), search.test
+    effects = [(c.candidate.effect, c.index) for c in causes if c.candidate]
+    chain = search.gap.robot.chain
+    gains = solve_physical(search.evidence, chain, columns, effects).gains.copy()
+    gains[np.isin(columns, np.setdiff1d(search.rigid, search.declared))] = 0.0
+    return test.evidence.squares(test.columns(causes), gains)
 
 
 def _least_squares(search: Search) -> Array:

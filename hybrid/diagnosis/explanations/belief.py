@@ -11,6 +11,7 @@ import numpy as np
 from hybrid.diagnosis.evidence.candidates import Place, scale_of
 from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.explanations.cause import Cause
+from hybrid.diagnosis.explanations.moves import LEAST_GAIN
 from hybrid.diagnosis.explanations.proposals import Proposal
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def beliefs(search: Search) -> list[Belief]:
         worth = now - search.score(rest)
         options: dict[Place, Proposal] = {}
         for x in search.proposals(search.causes, own=cause):
-            if not _independent(search, cause, x):
+            if not (_independent(search, cause, x) or _refuted(search, rest, x, worth)):
                 options.setdefault(x.place, x)
         twins = [
             place for place, x in options.items()
@@ -107,6 +108,12 @@ def _independent(search: Search, cause: Cause, other: Proposal) -> bool:
         return False
     both = search.score([*search.causes, other.cause])
     return both > search.score(search.causes)
+
+
+def _refuted(search: Search, rest: list[Cause], other: Proposal, worth: float) -> bool:
+    """Whether a known effect scores more than a cause, but foretells folds worse."""
+    better = other.candidate is not None and other.worth > worth + LEAST_GAIN
+    return better and not search.is_cross_validated([*rest, other.cause])
 
 
 def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str | None:

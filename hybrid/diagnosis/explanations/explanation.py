@@ -13,6 +13,7 @@ from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Term
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.explanations.other_samples import TAIL
+from hybrid.diagnosis.explanations.physical import solve_physical
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import seconds
@@ -124,7 +125,9 @@ def explain(search: Search) -> Explanation:
     gap, terms, test = search.gap, tuple(search.terms), search.test
     test.evidence.scale_prior(test.numbers, search.file_error)
     seen, unseen = search.columns(search.known), test.columns(search.known)
-    gains = search.evidence.solve(search.base()).of(seen)
+    effects = [(t.candidate.effect, t.index) for t in terms]
+    chain, base = gap.robot.chain, search.base()
+    gains = solve_physical(search.evidence, chain, base, effects).of(seen)
     learnt = Explanation(
         gap, terms, search.evidence, seen, gains, tuple(t.index for t in terms)
     )

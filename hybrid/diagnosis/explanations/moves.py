@@ -33,13 +33,13 @@ class Moves(Proposals):
         superfluous is removed.
         """
         better = self.score(causes) > self.score(self.causes) + LEAST_GAIN
-        if not (better and self._is_cross_validated(causes)):
+        if not (better and self.is_cross_validated(causes)):
             return False
         self.causes = causes
         self._remove()
         return True
 
-    def _is_cross_validated(self, causes: Sequence[Cause]) -> bool:
+    def is_cross_validated(self, causes: Sequence[Cause]) -> bool:
         """Whether some causes have a smaller held-out loss than the present ones.
 
         An equal one does if they are simpler. An event that explains its time is not

@@ -51,7 +51,8 @@ class Posterior:
     Attributes:
         evidence: Cross-products of the gap on the training samples.
         rigid: Columns of the background; see :mod:`.background`.
-        numbers: Columns of the links' numbers in the file, a part of these.
+        declared: Columns of the numbers in the file, a part of these.
+        numbers: Columns of the links' numbers, a part of these.
         file_error: Relative standard deviation of the links' numbers.
         pool: Candidates of all effects at all places.
         laws: Unknown laws of all joints.
@@ -68,6 +69,7 @@ class Posterior:
         self.learn = np.ones(len(gap.fold), dtype=bool) if learn is None else learn
         self.evidence = Evidence(gap, self.learn)
         self.rigid, blocks = add_background(self.evidence, self.prior)
+        self.declared = np.concatenate(blocks)
         self.numbers = np.concatenate(blocks[: gap.robot.size])
         self._numbers_of = list(zip(map(max, background(gap)[0]), blocks, strict=True))
         self.file_error = self.prior.file_errors[1]

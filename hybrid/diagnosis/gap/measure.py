@@ -117,7 +117,11 @@ def _folds(
     motions: Sequence[Motion], cutoff: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Fold and recording of each sample, shape (M,) each; see :class:`Gap`."""
-    clocks = [m.t[:: Sampler.for_rate(m.rate, cutoff).factor] - m.t[0] for m in motions]
+    steps = [Sampler.for_rate(m.rate, cutoff).factor for m in motions]
+    # No sample is at an edge of a block, from which the last digit might move it.
+    clocks = [
+        m.t[::k] - m.t[0] + 0.5 / m.rate for m, k in zip(motions, steps, strict=True)
+    ]
     of = np.repeat(np.arange(len(clocks)), [len(t) for t in clocks])
     blocks = (np.concatenate(clocks) // block_seconds(motions)).astype(int)
     _, fold = np.unique(of * (blocks.max() + 1) + blocks, return_inverse=True)
