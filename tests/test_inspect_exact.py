@@ -446,20 +446,27 @@ def test_a_unit_is_shared_by_most_joints_and_a_tool_is_not():
     assert scale_doubts(pendulum(1), [0.05])[0].severity == "warning"
 
 
-def test_torque_far_above_the_rating_is_told_where_no_scale_is():
+def test_torque_far_above_the_rating_is_told_where_a_joint_s_scale_is_not_known():
     arm = replace(pendulum(2), tau_max=np.array([2.0, 0.0]))
     tau = np.random.default_rng(0).normal(size=(500, 2))
-    tau *= [9.9, 1e4] / np.abs(tau).max(axis=0)
+    tau *= [19.9, 1e4] / np.abs(tau).max(axis=0)
     v = np.gradient(BOTH, 0.01, axis=0)
     none = replace(arm, chain=replace(arm.chain, inertial=0 * arm.chain.inertial))
     state = state_of(BOTH, v, np.gradient(v, 0.01, axis=0), tau)
     assert not list(doubts_of_scale(log(tau=tau), none, state))
-    tau[9, 0] = -10.4
+    tau[9, 0] = -20.4
     (doubt,) = doubts_of_scale(log(tau=tau), none, replace(state, tau=tau))
-    assert "torque above 5 times the rating (tau1 (a) 10.4 of 2)" in doubt.text
-    assert doubt.joints == (0,) and doubt.evidence == pytest.approx(5.2)
+    assert "torque above 10 times the rating (tau1 (a) 20.4 of 2)" in doubt.text
+    assert doubt.joints == (0,) and doubt.evidence == pytest.approx(10.2)
     assert doubt.severity == "warning"
     assert not list(doubts_of_scale(log(), none, state))
+
+
+def test_one_joint_in_another_unit_is_told_beside_joints_in_the_right_one():
+    arm = replace(pendulum(3), tau_max=np.full(3, 50.0))
+    assert scale_doubts(arm, [1.0, 1.0, 1.0]) == []
+    (doubt,) = scale_doubts(arm, [1.0, 1e3, 1.0])
+    assert doubt.joints == (1,) and "in milliamps?" in doubt.text
 
 
 # --- masses ---------------------------------------------------------------------------

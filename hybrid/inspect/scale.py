@@ -8,11 +8,11 @@ payload adds to that; a wrong unit is a factor of ten or more.
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt, error_if
-from hybrid.inspect.glitches import OVERLOAD
 from hybrid.inspect.masses import smooth_sign
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
@@ -53,13 +53,12 @@ def doubts_of_scale(
         return
     each = scales(robot, state)
     known = int(np.sum(each > 0))
-    if not known:
-        yield from _above_rating(recording, robot)
-        return
     less, more = (each > 0) & (each < 1 / _ODD), each > _ODD
     # All joints share a unit. A tool adds much load at the wrist, which may hide a unit
     # that is too small; a counterbalance takes load from one joint only.
-    if more.sum() == known or (2 * less.sum() > known and less.sum() >= min(known, 2)):
+    if more.sum() == known > 0 or (
+        2 * less.sum() > known and less.sum() >= min(known, 2)
+    ):
         usual = float(np.median(each[less if less.any() else more]))
         # Without gravity only inertia is compared, which depends on the clock squared.
         remedy = (
@@ -73,19 +72,23 @@ def doubts_of_scale(
     for j in np.flatnonzero((each > 0) & (each < 1 / _WRONG)).tolist():
         text = _text(recording.place("tau", j), each[j])
         yield Doubt("tau", (j,), text, _VALID, "error", each[j])
+    right = (each > 1 / _ODD) & (each < _ODD)
+    yield from _above_rating(recording, robot, ~right)
 
 
-def _above_rating(recording: Recording, robot: Robot) -> Iterator[Doubt]:
-    """Find torques far above the rating; for logs that determine no scale."""
+def _above_rating(
+    recording: Recording, robot: Robot, open_: NDArray[np.bool_]
+) -> Iterator[Doubt]:
+    """Find torques far above the rating where the links do not tell the scale."""
     peak = np.max(np.abs(recording.tau), axis=0)
     rated = np.where(robot.tau_max > 0, robot.tau_max, np.inf)
-    far = np.flatnonzero(peak > OVERLOAD * rated).tolist()
+    far = np.flatnonzero(open_ & (peak > _WRONG * rated)).tolist()
     if far:
         places = ", ".join(
             f"{recording.place('tau', k)} {peak[k]:.4g} of {rated[k]:.4g}" for k in far
         )
         text = (
-            f"torque above {OVERLOAD:g} times the rating ({places}): in milliamps? or "
+            f"torque above {_WRONG:g} times the rating ({places}): in milliamps? or "
             "is the rating that of the motor side"
         )
         yield Doubt("tau", tuple(far), text, _VALID, evidence=float(max(peak / rated)))
