@@ -8,6 +8,8 @@ import numpy as np
 
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.simulator import corrected
+from hybrid.diagnosis.evidence.candidates import with_gains
+from hybrid.diagnosis.explanations.physical import solve_physical
 from hybrid.diagnosis.explanations.refit import solve_all
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.dynamics import stacked_base
@@ -83,12 +85,21 @@ def _servo_notes(result: Result) -> list[str]:
 
 
 def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
-    """The arm with corrected numbers, and the effects on it, fitted to all samples."""
+    """The arm with corrected numbers, and the effects on it, fitted to all samples.
+
+    Where links have to give way to be physical, the effects take what they can.
+    """
     if not result.effects:
         return result.gap.robot, ()
-    _, solution, _ = solve_all(result.search)
-    rigid = len(result.search.rigid)
-    return corrected(result.scored, result.effects, solution.gains[:rigid])
+    search, effects = result.search, list(result.effects)
+    evidence, free, own = solve_all(search)
+    laws = [t.candidate.effect for t in search.terms]
+    pairs = list(zip(laws, own, strict=True))
+    physical = solve_physical(evidence, search.gap.robot.chain, free.index, pairs)
+    for k, (law, i) in enumerate(pairs):
+        if not np.array_equal(physical.of(i), free.of(i)):
+            effects[k] = with_gains(law, physical.of(i)).as_reported()
+    return corrected(result.scored, effects, physical.gains[: len(search.rigid)])
 
 
 def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicModel:

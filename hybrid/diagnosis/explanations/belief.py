@@ -91,8 +91,9 @@ def beliefs(search: Search) -> list[Belief]:
         worth = now - search.score(rest)
         options: dict[Place, Proposal] = {}
         for x in search.proposals(search.causes, own=cause):
-            if not (_independent(search, cause, x) or _refuted(search, rest, x, worth)):
-                options.setdefault(x.place, x)
+            if not _independent(search, cause, x):
+                worse = _foretells_worse(search, rest, x, worth)
+                options.setdefault(x.place, replace(x, worth=worth) if worse else x)
         twins = [
             place for place, x in options.items()
             if search.are_twins(cause.candidate, x.candidate)
@@ -110,8 +111,13 @@ def _independent(search: Search, cause: Cause, other: Proposal) -> bool:
     return both > search.score(search.causes)
 
 
-def _refuted(search: Search, rest: list[Cause], other: Proposal, worth: float) -> bool:
-    """Whether a known effect scores more than a cause, but foretells folds worse."""
+def _foretells_worse(
+    search: Search, rest: list[Cause], other: Proposal, worth: float
+) -> bool:
+    """Whether a known effect scores more than a cause, but foretells folds worse.
+
+    The search has not taken it then: it is as probable as the cause, and no more.
+    """
     better = other.candidate is not None and other.worth > worth + LEAST_GAIN
     return better and not search.is_cross_validated([*rest, other.cause])
 

@@ -16,7 +16,6 @@ from hybrid.diagnosis.evidence.shapes import (
     with_normalised_shapes,
 )
 from hybrid.diagnosis.explanations.other_samples import OtherSamples
-from hybrid.diagnosis.explanations.physical import solve_physical
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect
@@ -28,16 +27,14 @@ _WIDER = 2.0  # factor on the standard deviation of the draws near the best
 
 
 def solve_all(search: Search) -> tuple[Evidence, Solution, tuple[Index, ...]]:
-    """Fit background and terms of a search to all samples, with physical links.
+    """Fit background and terms of a search, with their shapes, to all samples.
 
     Returns:
         The evidence, the gains of all columns, and the columns of each term.
     """
     every = OtherSamples(search, np.ones(len(search.gap.fold), dtype=bool))
-    own = tuple(map(every.own, search.known))
-    effects = [(t.candidate.effect, i) for t, i in zip(search.terms, own, strict=True)]
-    chain, columns = search.gap.robot.chain, every.columns(search.causes)
-    return every.evidence, solve_physical(every.evidence, chain, columns, effects), own
+    solution = every.evidence.solve(every.columns(search.causes))
+    return every.evidence, solution, tuple(map(every.own, search.known))
 
 
 def refit(search: Search) -> tuple[Effect, ...]:
