@@ -13,8 +13,10 @@ from scipy.interpolate import CubicSpline
 from simulated import arm
 from test_simulator_file import CUBE
 
+from hybrid import read_recordings
 from hybrid.diagnosis.answer.fixed import fixed_model, fixed_simulator, write_fixed
-from hybrid.diagnosis.gap.measure import measure_gap
+from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.gap.measure import measure_gap, split, unseen_samples
 from hybrid.dynamics import RigidBody
 from hybrid.effects import effect_classes
 from hybrid.errors import HybridWarning
@@ -246,3 +248,23 @@ def test_a_folder_that_is_moved_when_it_is_whole_still_finds_its_meshes(tmp_path
     data = mujoco.MjData(fixed)
     mujoco.mj_step(fixed, data)
     assert np.isfinite(data.qpos).all()
+
+
+@pytest.mark.study
+def test_the_gap_of_the_repaired_simulator_is_that_of_the_written_file(tmp_path):
+    """Of a real arm, on samples to which nothing was fitted; another file has all."""
+    robot = Robot.load(MODELS / "ur10.urdf")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)
+        logs = read_recordings([MODELS / "ur10_bag"], joints=robot.joints)
+        result = examine(robot, logs)
+        fixed = write_fixed(result, tmp_path)
+        written = Robot.load(fixed.simulator, joints=robot.joints)
+    gap, model = result.gap, DynamicModel.load(fixed.model)
+    held_out = unseen_samples(gap, split(gap))
+    modelled = np.concatenate([take(model.predict(m)) for m, _, take in gap])
+    again = measure_gap(written, logs, cutoff=gap.cutoff)
+    for left in (gap.measured - modelled, again.left):
+        for j, said in enumerate(result.diagnosis.unseen.after):
+            rows = held_out & gap.moving[:, j]
+            assert np.sqrt(np.mean(left[rows, j] ** 2)) < 1.25 * said
