@@ -661,6 +661,19 @@ def test_a_written_file_has_the_numbers_of_the_model_that_is_replayed(tmp_path):
     assert written.opt.timestep == 0.004
 
 
+@pytest.mark.parametrize("changed", [{}, {"zero": 0.1}, {"sign": -1.0}, {"lower": -1}])
+def test_a_written_file_stops_where_the_replay_stops(tmp_path, changed):
+    """It kept the range of the file where only the zero was another."""
+    path = tmp_path / "arm.xml"
+    path.write_text(DEGREES.format(""))
+    robot = Robot.load(path)
+    drive = Drive.declared(robot).at(**changed)
+    write_servos(robot, drive, tmp_path / "new.xml")
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
+    np.testing.assert_allclose(written.jnt_range[0], stops(drive)[0], atol=1e-12)
+    assert written.jnt_limited[0]
+
+
 def test_a_joint_without_a_servo_gets_one_where_the_file_has_its_actuators(tmp_path):
     path, new = tmp_path / "arm.xml", tmp_path / "new.xml"
     text = DEGREES.format("")

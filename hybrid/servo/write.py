@@ -67,8 +67,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
     step = file_step(robot)
     stiffness, relaxed = springs(robot, drive)
     parameters, joint_damping = motors(robot, drive), dampings(robot, drive)[1]
-    limits, file = stops(drive), Drive.declared(robot)
-    declared = np.stack([file["lower"], file["upper"]])
+    limits, declared = stops(drive), stops(Drive.declared(robot))
     curves = np.stack([drive["quadratic"], robot.cubic], axis=1).tolist()
     for j, name in enumerate(robot.joints):
         joint = joint_tag(document, name)
@@ -86,8 +85,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         }
         if drive["sign"][j] < 0:
             given["axis"] = -robot.chain.axis[j]
-        ends = np.array([drive["lower"][j], drive["upper"][j]])
-        if drive["sign"][j] < 0 or (ends != declared[:, j]).any():
+        if (limits[j] != declared[j]).any():
             given |= {"range": limits[j] * turn, "limited": "true"}
         document.set(joint, given)
         motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
