@@ -674,6 +674,17 @@ def test_a_written_file_stops_where_the_replay_stops(tmp_path, changed):
     assert written.jnt_limited[0]
 
 
+def test_a_joint_keeps_the_reference_that_it_inherits(tmp_path):
+    """It lost that of a default class."""
+    path, own = tmp_path / "arm.xml", DEGREES.format("").replace(' ref="10"', "")
+    inherited = '<default><joint ref="10"/></default><worldbody>'
+    path.write_text(own.replace("<worldbody>", inherited))
+    robot = Robot.load(path)
+    write_servos(robot, Drive.declared(robot).at(zero=0.1), tmp_path / "new.xml")
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
+    assert written.qpos0 == pytest.approx(np.deg2rad([10.0, 10.0]) - 0.1)
+
+
 def test_a_joint_without_a_servo_gets_one_where_the_file_has_its_actuators(tmp_path):
     path, new = tmp_path / "arm.xml", tmp_path / "new.xml"
     text = DEGREES.format("")

@@ -11,7 +11,7 @@ from hybrid.files import atomic_path
 from hybrid.robot import Robot
 from hybrid.robot.build import spec_text
 from hybrid.robot.edit.change import Edit
-from hybrid.robot.edit.document import Document, element, joint_tag
+from hybrid.robot.edit.document import Document, element, joint_tag, model_of
 from hybrid.robot.edit.drives import actuator_tags
 from hybrid.robot.edit.extra_friction import remove_passive_motors
 from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
@@ -64,7 +64,7 @@ def _skeleton(robot: Robot) -> Document:
 
 
 def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
-    step = file_step(robot)
+    model, step = model_of(document, robot), file_step(robot)
     stiffness, relaxed = springs(robot, drive)
     parameters, joint_damping = motors(robot, drive), dampings(robot, drive)[1]
     limits, declared = stops(drive), stops(Drive.declared(robot))
@@ -73,7 +73,7 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
         joint = joint_tag(document, name)
         curve, turn = curves[j], turn_unit(document, not robot.chain.revolute[j])
         # `ref` is the angle in the pose that the file draws: the zero of the log.
-        reference = float(joint.attributes.get("ref", "0"))
+        reference = model.joint(name).qpos0[0] * turn
         given = {
             # One number, or the coefficients of a polynomial.
             "damping": [joint_damping[j], *curve] if any(curve) else joint_damping[j],
