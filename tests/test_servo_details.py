@@ -15,7 +15,7 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
 from hybrid.servo.evidence import Explanation
-from hybrid.servo.fit import _notes, _problem, _result, _unsaid, fit_servo
+from hybrid.servo.fit import _clips, _notes, _problem, _result, _unsaid, fit_servo
 from hybrid.servo.model import (
     bristles,
     dampings,
@@ -561,7 +561,8 @@ def result(**changed) -> ServoFit:
         "findings": (finding(), finding(), finding("delay")),
         "before": np.array([0.02, 0.01]), "plain": np.array([0.005, 0.004]),
         "after": np.array([0.001, 0.003]), "floor": np.array([4e-4, 5e-4]),
-        "seconds": 12.0, "unseen": ("/logs/a.csv",), "resting": (), "scale": (),
+        "seconds": 12.0, "unseen": ("/logs/a.csv",), "asked": np.zeros((2, 2)),
+        "resting": (), "scale": (),
         "notes": ("so",),
     }  # fmt: skip
     return ServoFit(**(known | changed))
@@ -685,6 +686,39 @@ def test_a_joint_keeps_the_reference_that_it_inherits(tmp_path):
     assert written.qpos0 == pytest.approx(np.deg2rad([10.0, 10.0]) - 0.1)
 
 
+@pytest.mark.parametrize(
+    "own", ['kp="25" ctrlrange="-1 0.5"', 'kp="50" gear="0.5" ctrlrange="-0.5 0.25"']
+)
+def test_a_file_clips_no_command_that_the_logs_have(tmp_path, own):
+    """It kept its range, also where commands went farther or the zero was moved."""
+    path, new = tmp_path / "arm.xml", tmp_path / "new.xml"
+    text = DEGREES.format("").replace('kp="25"', own)
+    path.write_text(text)
+    robot = Robot.load(path)
+    drive = Drive.declared(robot).at(zero=0.1, sign=-1.0)
+    asked = np.array([[-0.6, -1.0], [0.8, 1.0]])  # [-0.5, 1] turned, less 0.1
+    write_servos(robot, drive, new, asked)
+    written = mujoco.MjModel.from_xml_path(str(new))
+    np.testing.assert_allclose(written.actuator_ctrlrange[0], [-0.6, 0.9])
+    assert written.actuator_ctrllimited.tolist() == [1, 0]
+    assert _clips(robot, drive, asked) == []
+    asked[1, 0] = 1.2
+    write_servos(robot, drive, new, asked)
+    assert not mujoco.MjModel.from_xml_path(str(new)).actuator_ctrllimited.any()
+    (note,) = _clips(robot, drive, asked)
+    assert "clips commands of a, which go from -0.6 to 1.2 rad" in note
+
+
+def test_the_control_range_of_a_motor_clips_no_position(tmp_path):
+    path, new = tmp_path / "arm.xml", tmp_path / "new.xml"
+    start, _, rest = DEGREES.format("").partition('<position joint="a"')
+    motor = '<motor joint="a" ctrlrange="-4 4"/>'
+    path.write_text(start + motor + rest.partition("/>")[2])
+    robot = Robot.load(path)
+    write_servos(robot, Drive.declared(robot), new)
+    assert not mujoco.MjModel.from_xml_path(str(new)).actuator_ctrllimited.any()
+
+
 def test_a_joint_without_a_servo_gets_one_where_the_file_has_its_actuators(tmp_path):
     path, new = tmp_path / "arm.xml", tmp_path / "new.xml"
     text = DEGREES.format("")
@@ -804,7 +838,7 @@ def test_a_result_holds_the_servos_of_the_plain_fit_and_those_found_and_written(
     )  # fmt: skip
     still = Stretch(STEP, np.zeros((9, 2)), np.zeros((9, 2)), np.zeros(2), source="log")
     search = SimpleNamespace(plain=plain, noise=None)
-    fit = _result(ROBOT, {}, search, problem, found, [still])
+    fit = _result(ROBOT, {}, search, problem, found, [still], np.zeros((2, 2)))
     kp = float(FILE["stiffness"][0])
     drives = (fit.plain_drive, fit.drive, fit.written)
     expected = kp * np.exp([0.1, 0.2, 0.3])

@@ -7,6 +7,7 @@ back to the file.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
+from hybrid.servo.write import clipped
 from hybrid.statistics import HALF_WIDTH
 from hybrid.threads import one_thread
 
@@ -73,7 +75,10 @@ def fit_servo(
     known, simulator = known_mass or {}, ServoSimulator(robot, gpu=gpu)
     prior = Drive.declared(robot).at(mass=known_masses(robot, known))
     struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
-    learn, unseen = _split(stretches_of(logs))
+    whole = stretches_of(logs)
+    sent = np.concatenate([x.sent for x in whole])
+    asked = np.stack([sent.min(axis=0), sent.max(axis=0)])
+    learn, unseen = _split(whole)
     problem, start = _problem(simulator, learn, prior)
     allowed = np.tile(~problem.resting, (len(NAMES), 1))
     allowed[[x.base for x in QUANTITIES], 1:] = False
@@ -88,7 +93,7 @@ def fit_servo(
     aside = problem.over(rest) if rest else None
     search = Search(problem, plain, aside, allowed, progress)
     every = problem.over(parts) if rest else problem
-    return _result(robot, known, search, every, search.best(), unseen)
+    return _result(robot, known, search, every, search.best(), unseen, asked)
 
 
 def _result(
@@ -98,6 +103,7 @@ def _result(
     problem: Problem,
     best: Explanation,
     unseen: Sequence[Stretch],
+    asked: Array,
 ) -> ServoFit:
     """Fit the result to all parts of the logs, and replay the held-out motion."""
     plain, found, written = (
@@ -112,6 +118,7 @@ def _result(
     (before,) = missed(simulator, unseen, [None])
     between, after, less = missed(simulator, unseen, drives)
     notes = _notes(robot, problem.resting, known)
+    notes += [*_unsaid(robot, drives[1], after, less), *_clips(robot, drives[2], asked)]
     return ServoFit(
         robot=robot,
         drive=drives[1],
@@ -125,9 +132,10 @@ def _result(
         floor=resolution([*problem.stretches, *unseen]),
         seconds=sum(x.duration for x in unseen),
         unseen=tuple(x.source for x in unseen),
+        asked=asked,
         resting=tuple(robot.joints[j] for j in np.flatnonzero(problem.resting)),
         scale=tuple(known),
-        notes=(*notes, *_unsaid(robot, drives[1], after, less)),
+        notes=tuple(notes),
     )
 
 
@@ -234,6 +242,19 @@ def _unsaid(robot: Robot, drive: Drive, after: Array, written: Array) -> list[st
         for each in QUANTITIES
         for j, joint in enumerate(robot.joints)
         if each.unsaid and drive[each.name][j] > 0
+    ]
+
+
+def _clips(robot: Robot, drive: Drive, asked: Array) -> list[str]:
+    """Control ranges that the written file has no longer."""
+    if not Path(robot.path).is_file():
+        return []
+    lost = clipped(robot, drive, asked)
+    return [
+        f"the file's ctrlrange clips commands of {joint}, which go from {low:.3g} to "
+        f"{high:.3g} rad in the logs: the written file has no ctrlrange there"
+        for joint, low, high in zip(robot.joints, *asked, strict=True)
+        if joint in lost
     ]
 
 

@@ -178,8 +178,12 @@ def dampings(robot: Robot, drive: Drive) -> tuple[Array, Array]:
 
 def stops(drive: Drive) -> Array:
     """Range of every joint in the positions of the log, shape (n, 2), [rad]."""
-    ends = np.stack([drive["lower"], drive["upper"]]) * drive["sign"]
-    return np.asarray((np.sort(ends, axis=0) - drive["zero"]).T)
+    return in_log(drive, np.stack([drive["lower"], drive["upper"]]))
+
+
+def in_log(drive: Drive, ends: Array) -> Array:
+    """Ranges in positions of the file, (2, n), as positions of the log, (n, 2)."""
+    return np.asarray((np.sort(ends * drive["sign"], axis=0) - drive["zero"]).T)
 
 
 def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:

@@ -87,6 +87,7 @@ class ServoFit(Shown):
         floor: Resolution of the encoder, a lower bound of errors, shape (n,), [rad].
         seconds: Length of the held-out motion, [s].
         unseen: Its logs.
+        asked: Lowest and highest command of all logs, shape (2, n), [rad].
         resting: Joints that no log moves; they keep the values of the file.
         scale: Joints whose links have a known mass, which sets the scale of all
             torques; none if the masses of the file do.
@@ -105,6 +106,7 @@ class ServoFit(Shown):
     floor: Array
     seconds: float
     unseen: tuple[str, ...]
+    asked: Array
     resting: tuple[str, ...]
     scale: tuple[str, ...]
     notes: tuple[str, ...]
@@ -154,7 +156,7 @@ class ServoFit(Shown):
         """Write the robot's own file with these servos, as far as MJCF can express."""
         from hybrid.servo.write import write_servos
 
-        write_servos(self.robot, self.written, path)
+        write_servos(self.robot, self.written, path, self.asked)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""

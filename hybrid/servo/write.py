@@ -3,53 +3,114 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot import Robot
+from hybrid.robot.actuators import drives_of
 from hybrid.robot.build import spec_text
 from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, element, joint_tag, model_of
 from hybrid.robot.edit.drives import actuator_tags
 from hybrid.robot.edit.extra_friction import remove_passive_motors
 from hybrid.robot.edit.mjcf import edit_mjcf, turn_unit
+from hybrid.robot.mjcf import joint_names
 from hybrid.robot.read import URDF
 from hybrid.servo.drive import Drive
-from hybrid.servo.model import dampings, file_step, motors, servo_spec, springs, stops
+from hybrid.servo.model import (
+    dampings,
+    file_step,
+    in_log,
+    motors,
+    servo_spec,
+    springs,
+    stops,
+)
 
+_CLOSE = 1e-6  # rad: no command exceeds a limit by its rounding
 _MOTOR = {
     "gear": 1.0,
     "forcelimited": "false",
+    "ctrllimited": "false",
     "actearly": "true",
     "dyntype": "dcmotor",
     "gaintype": "dcmotor",
     "biastype": "dcmotor",
     "input": "pos",
 }
-_KEPT = ("name", "joint", "jointinparent", "ctrlrange", "ctrllimited", "group")
+_KEPT = ("name", "joint", "jointinparent", "group")
 
 
-def write_servos(robot: Robot, drive: Drive, path: str | Path) -> None:
+def write_servos(
+    robot: Robot, drive: Drive, path: str | Path, asked: Array | None = None
+) -> None:
     """Write the robot's MJCF file again with other servos; of a URDF, an MJCF skeleton.
 
     The attributes of the joints and their actuators change, every other byte stays.
     MJCF cannot express what :class:`DriveQuantity` calls unsaid.
 
+    Args:
+        robot: The arm by its file.
+        drive: The servos.
+        path: File to write.
+        asked: Lowest and highest command of every joint in the logs, shape (2, n),
+            [rad]. An actuator that clips them loses its control range.
+
     Raises:
         RobotError: The file is gone, or a joint or actuator stands in another file.
     """
-    own = Path(robot.path).suffix.lower() not in URDF
-    document = Document.load(robot.path) if own else _skeleton(robot)
+    document = _document(robot)
     if drive["roll"][0] or drive["pitch"][0] or (drive["mass"] != 1.0).any():
         inertial = robot.chain.inertial * drive["mass"][:, None]
         gravity = drive.tilt.turned(robot.chain.gravity)
         chain = replace(robot.chain, inertial=inertial, gravity=gravity)
         edit_mjcf(document, Edit(replace(robot, chain=chain)), robot)
-    _set_servos(document, robot, drive)
+    _set_servos(document, robot, drive, asked)
     with atomic_path(path) as temporary:
         temporary.write_bytes(document.edited())
+
+
+def _document(robot: Robot) -> Document:
+    own = Path(robot.path).suffix.lower() not in URDF
+    return Document.load(robot.path) if own else _skeleton(robot)
+
+
+def clipped(robot: Robot, drive: Drive, asked: Array) -> tuple[str, ...]:
+    """Joints whose actuators in the file clip commands of the logs, (2, n) [rad]."""
+    clips = _clips(model_of(_document(robot), robot), robot, drive)
+    within = _within(clips, asked)
+    return tuple(x for x, holds in zip(robot.joints, within, strict=True) if not holds)
+
+
+def _within(clips: Array, asked: Array | None) -> NDArray[np.bool_]:
+    """Whether no command of the logs is clipped, shape (n,)."""
+    if asked is None:
+        return np.ones(len(clips), dtype=bool)
+    low, high = clips.T
+    return np.asarray((low <= asked[0] + _CLOSE) & (asked[1] - _CLOSE <= high))
+
+
+def _clips(model: Any, robot: Robot, drive: Drive) -> Array:
+    """Positions of the log to which servos of the file clip commands, (n, 2), [rad]."""
+    ends = np.tile([[-np.inf], [np.inf]], robot.size)
+    names = joint_names(model)
+    for a, joint, gear in drives_of(model):
+        # The control of other actuators is a torque or a speed.
+        servo = (
+            model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_DCMOTOR
+            or model.actuator_biasprm[a, 1]
+        )
+        limited = servo and model.actuator_ctrllimited[a]
+        if limited and names[joint] in robot.joints:
+            j = robot.joints.index(names[joint])
+            ends[:, j] = np.sort(model.actuator_ctrlrange[a] / gear)
+    return in_log(drive, ends)
 
 
 def _skeleton(robot: Robot) -> Document:
@@ -63,11 +124,15 @@ def _skeleton(robot: Robot) -> Document:
     return Document(spec_text(spec).encode(), robot.path)
 
 
-def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
+def _set_servos(
+    document: Document, robot: Robot, drive: Drive, asked: Array | None
+) -> None:
     model, step = model_of(document, robot), file_step(robot)
     stiffness, relaxed = springs(robot, drive)
     parameters, joint_damping = motors(robot, drive), dampings(robot, drive)[1]
     limits, declared = stops(drive), stops(Drive.declared(robot))
+    clips = _clips(model, robot, drive)
+    holds = _within(clips, asked) & np.isfinite(clips).all(axis=1)
     curves = np.stack([drive["quadratic"], robot.cubic], axis=1).tolist()
     for j, name in enumerate(robot.joints):
         joint = joint_tag(document, name)
@@ -89,6 +154,8 @@ def _set_servos(document: Document, robot: Robot, drive: Drive) -> None:
             given |= {"range": limits[j] * turn, "limited": "true"}
         document.set(joint, given)
         motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
+        if holds[j]:
+            motor |= {"ctrllimited": "true", "ctrlrange": clips[j]}
         if (delay := float(drive["delay"][j])) > 0:
             samples = math.ceil(delay / step) + 1
             motor |= {"delay": delay, "nsample": samples, "interp": "linear"}
