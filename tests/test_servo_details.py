@@ -12,6 +12,7 @@ from pendulum import pendulum
 from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import HybridWarning, RecordingError, RobotError
 from hybrid.recording import Recording
+from hybrid.report.servo import servos_table
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
 from hybrid.servo.evidence import Explanation
@@ -578,6 +579,20 @@ def test_the_result_is_said_in_a_sentence():
     assert quiet.endswith("nothing stands out.") and "Most" not in quiet
     resting = result(resting=("hinge_1",)).sentence
     assert "miss by 1.0 instead of 20.0 mrad" in resting and "Most" not in resting
+
+
+def test_all_numbers_are_shown_with_both_ends_of_their_intervals():
+    """They had the upper half of a skew one, which led below zero."""
+    std = np.zeros((len(NAMES), 2))
+    for name in ("armature", "offset", "delay"):
+        std[NAMES.index(name), 0] = 0.5
+    drive = FILE.at(armature=0.03, offset=-0.2, delay=0.01, stiffness=1234.0)
+    table = {name: cells for name, *cells in
+             servos_table(result(drive=drive, std=std)).rows}  # fmt: skip
+    assert table["armature, kg·m²"] == ["0.03 (0.0113 … 0.0799)", "0.03"]
+    assert table["offset, N·m"][0] == "-0.2 (-1.18 … 0.78)"
+    assert table["delay, s"][0] == "0.01 (0 … 0.99)"
+    assert table["stiffness, N·m/rad"] == ["1230", "1230"]
 
 
 def test_the_result_as_numbers():

@@ -6,13 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLACK, BLUE, PALE, RED, lines_figure
 from hybrid.report.table import Table
 from hybrid.servo.drive import QUANTITIES
-from hybrid.statistics import HALF_WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,12 +56,16 @@ def servos_table(fit: ServoFit) -> Table:
     for k, each in enumerate(QUANTITIES):
         cells = []
         for x, std in zip(fit.drive[each.name], fit.std[k], strict=True):
-            off = x * np.expm1(HALF_WIDTH * std) if each.positive else HALF_WIDTH * std
-            digit = float(f"{off:.1g}")  # 60, and not 6e+01
-            cells.append(f"{x:.3g} ± {digit:g}" if std else f"{x:.3g}")
+            low, high = map(_plain, each.interval(x, std))
+            cells.append(f"{_plain(x)} ({low} … {high})" if std else _plain(x))
         name = each.name.replace("_", " ")
         rows.append((f"{name}, {each.unit}" if each.unit else name, *cells))
     return Table(("", *fit.robot.joints), tuple(rows))
+
+
+def _plain(x: float) -> str:
+    """Three digits, 1230 and not 1.23e+03."""
+    return f"{float(f'{x:.3g}'):g}"
 
 
 def replay_figure(replay: ServoReplay, joints: Sequence[str]) -> Figure:

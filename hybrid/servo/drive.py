@@ -35,6 +35,7 @@ from hybrid.effects.gravity_tilt import GravityTilt
 from hybrid.errors import RobotError
 from hybrid.plant.noise import rated_torque
 from hybrid.robot import Robot
+from hybrid.statistics import HALF_WIDTH
 
 _FAR = 20.0  # logarithm of a value in SI units that no servo reaches
 _PRESLIDING = 1e-3  # rad: usual bend of the bristles before a joint slides
@@ -75,6 +76,13 @@ class DriveQuantity:
     unsaid: bool = False
     alone: bool = False
     probe: float = 0.05
+
+    def interval(self, value: float, std: float) -> tuple[float, float]:
+        """The 95 % interval of a value with the standard deviation of a fit."""
+        off = HALF_WIDTH * std
+        if self.positive:
+            return value * float(np.exp(-off)), value * float(np.exp(off))
+        return max(value - off, self.least), value + off
 
 
 QUANTITIES = (

@@ -29,7 +29,6 @@ from hybrid.servo.simulator import ServoSimulator, converged, missed
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
 from hybrid.servo.write import clipped
-from hybrid.statistics import HALF_WIDTH
 from hybrid.threads import one_thread
 
 _SECONDS, _EACH = 60.0, 5.0  # s: motion to fit, and length of its parts
@@ -201,9 +200,7 @@ def _findings(
     drives = [prior.moved(each) for each in (x, *alone)]
     errors = missed(problem.simulator, parts, drives)
     for (k, j), error in zip(places, errors[1:], strict=True):
-        quantity, off = QUANTITIES[k], HALF_WIDTH * std[k, j]
-        ends = x[k, j] - off, x[k, j] + off
-        low, high = map(float, np.exp(ends) if quantity.positive else ends)
+        quantity, value = QUANTITIES[k], float(drives[0].values[k, j])
         others = best.equals.get((k, j), ())
         finding = ServoFinding(
             effect=quantity.effect,
@@ -211,8 +208,8 @@ def _findings(
             quantity=quantity.name,
             unit=robot.chain.unit_at([] if quantity.shared else [j], quantity.unit),
             file=float(prior.values[k, j]),
-            value=float(drives[0].values[k, j]),
-            interval=(low, high),
+            value=value,
+            interval=quantity.interval(value, float(std[k, j])),
             probability=float(1.0 / (1.0 + np.exp(-best.losses[k, j]))),
             equivalents=tuple(QUANTITIES[i].effect for i in others),
             worth=float((error - errors[0])[slice(None) if SHARED[k] else j].max()),
