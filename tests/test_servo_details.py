@@ -573,12 +573,26 @@ def test_the_result_is_said_in_a_sentence():
     said = result().sentence
     assert "miss by 2.0 instead of 15.0 mrad (mean of joints)" in said
     assert "wrong in damping at hinge_0, delay at hinge_0." in said
-    left = "Most is left at hinge_1: 3.0 mrad have no known cause (encoder: 0.50)."
+    left = "Left without a known cause: 3.0 mrad at hinge_1 (encoder: 0.50)."
     assert said.endswith(left)
+    both = result(after=np.array([0.002, 0.003])).sentence
+    left = "3.0 mrad at hinge_1 (encoder: 0.50), 2.0 mrad at hinge_0 (encoder: 0.40)."
+    assert both.endswith(left)
     quiet = result(after=np.array([0.001, 0.0019]), findings=()).sentence
-    assert quiet.endswith("nothing stands out.") and "Most" not in quiet
+    assert quiet.endswith("nothing stands out.") and "cause" not in quiet
     resting = result(resting=("hinge_1",)).sentence
-    assert "miss by 1.0 instead of 20.0 mrad" in resting and "Most" not in resting
+    assert "miss by 1.0 instead of 20.0 mrad" in resting and "cause" not in resting
+
+
+def test_of_many_joints_without_a_cause_three_are_said():
+    arm = pendulum(5)
+    after = 1e-3 * np.array([5.0, 1.0, 4.0, 3.0, 6.0])
+    said = result(
+        robot=arm, before=after, after=after, floor=np.full(5, 1e-4), findings=()
+    ).sentence
+    places = [said.index(f"hinge_{j}") for j in (4, 0, 2)]
+    assert places == sorted(places) and said.endswith(" and 2 more.")
+    assert "hinge_1" not in said and "hinge_3" not in said
 
 
 def test_all_numbers_are_shown_with_both_ends_of_their_intervals():

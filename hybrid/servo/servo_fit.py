@@ -15,6 +15,7 @@ from hybrid.servo.stretch import stretches_of
 from hybrid.shown import Shown
 
 _UNKNOWN = 4.0  # times the resolution of the encoder: a larger error has a cause
+_MOST_LEFT = 3  # joints in a sentence
 
 
 @dataclass(frozen=True)
@@ -127,15 +128,18 @@ class ServoFit(Shown):
             f"Replays of unseen motion miss by {after:.1f} instead of {before:.1f} "
             f"mrad (mean of joints): {cause}."
         )
-        worst = max(moving, key=lambda j: self.after[j])
-        joint = self.robot.joints[worst]
-        left, floor = 1000 * self.after[worst], 1000 * self.floor[worst]
-        if left < _UNKNOWN * floor:
+        left = [j for j in moving if self.after[j] >= _UNKNOWN * self.floor[j]]
+        if not left:
             return text
-        return (
-            f"{text} Most is left at {joint}: {left:.1f} mrad have no known cause "
-            f"(encoder: {floor:.2f})."
+        left.sort(key=lambda j: -self.after[j])
+        places = ", ".join(
+            f"{1000 * self.after[j]:.1f} mrad at {self.robot.joints[j]} "
+            f"(encoder: {1000 * self.floor[j]:.2f})"
+            for j in left[:_MOST_LEFT]
         )
+        more = len(left) - _MOST_LEFT
+        tail = f" and {more} more" if more > 0 else ""
+        return f"{text} Left without a known cause: {places}{tail}."
 
     def replayed(self, recording: Recording) -> ServoReplay:
         """Replay a log with the servos of the file and with these.
