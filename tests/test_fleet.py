@@ -327,3 +327,17 @@ def test_a_log_without_a_date_is_refused_before_any_work(tmp_path, capsys):
     words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA)]
     assert main([*words, "--out", str(tmp_path / "out")]) == 2
     assert "monday.csv has no date in its name" in capsys.readouterr().err
+
+
+def test_a_fleet_whose_logs_have_no_torque_ends_with_an_error(tmp_path, capsys):
+    """It ended well, though there was no result at all."""
+    folder_of_arms(tmp_path, arms=1, weeks=2)
+    log = replace(logs(count=1)[0], tau=np.zeros(0))
+    for path in (tmp_path / "logs" / "arm0").iterdir():
+        write(replace(log, command=log.q), path)
+    words = ["fleet", str(tmp_path / "logs"), "--robot", str(SCARA), "--workers", "1"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    *_, line = capsys.readouterr().err.splitlines()
+    assert "no period has a result: arm0, 2026-W02: " in line
+    assert "valid are tau1" in line
+    assert (tmp_path / "out" / "report.html").is_file()

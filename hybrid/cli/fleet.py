@@ -5,6 +5,7 @@ from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
+from hybrid.errors import HybridError
 from hybrid.fleets import fleet
 from hybrid.fleets.plan import read_plan
 from hybrid.report.fleet import fleet_tables, lead_sentence, write_fleet_pages
@@ -75,3 +76,9 @@ def run(args: Namespace, screen: Screen) -> None:
     screen.show(*(x.filled() for x in tables.values() if x.rows))
     screen.say(lead_sentence(found))
     screen.say(f"report: {page}")
+    if len(found.refused) == len(found.rows):
+        first = found.refused[0]
+        raise HybridError(
+            f"no period has a result: {first['arm']}, {first['period']}: "
+            f"{first['reason']}"
+        )
