@@ -563,6 +563,7 @@ def result(**changed) -> ServoFit:
         "before": np.array([0.02, 0.01]), "plain": np.array([0.005, 0.004]),
         "after": np.array([0.001, 0.003]), "floor": np.array([4e-4, 5e-4]),
         "seconds": 12.0, "unseen": ("/logs/a.csv",), "asked": np.zeros((2, 2)),
+        "motion": Stretch(STEP, np.zeros((9, 2)), np.zeros((9, 2)), np.zeros(2)),
         "resting": (), "scale": (),
         "notes": ("so",),
     }  # fmt: skip
@@ -835,6 +836,11 @@ def test_a_file_of_which_every_number_is_right_is_only_replayed():
     log = Recording(t, q, command=q + 0.05, joints=ROBOT.joints, source="log")
     every = [(k, j) for k in range(len(NAMES)) for j in (0, 1)]
     fit = fit_servo(ROBOT, [log], without=every)
+    # Of one log, only what was held out is shown as unseen.
+    shown = fit.replayed()
+    assert shown.t[-1] == pytest.approx(fit.seconds) and shown.source == "log"
+    np.testing.assert_allclose(shown.q[-1], q[-1])
+    assert len(shown.q) < 0.4 * len(q)
     assert fit.findings == () and not fit.std.any()
     np.testing.assert_allclose(fit.drive.values, FILE.values, rtol=1e-12)
     np.testing.assert_allclose(fit.after, fit.plain)

@@ -152,8 +152,7 @@ def _diagnose_servos(
     args: Namespace, robot: Robot, recordings: Sequence[Recording], screen: Screen
 ) -> None:
     found = servos.fit(args, robot, recordings, screen)
-    logs = [x for x in recordings if x.source in found.unseen] or list(recordings)
-    replay = found.replayed(logs[0])
+    replay = found.replayed()
     with atomic_folder(args.out) as folder:
         write_json(folder / CONTENT, {**found.as_dict(), "provenance": args.how})
         write_servo_page(folder / PAGE, found, replay, provenance=args.how)

@@ -131,6 +131,7 @@ def _result(
         floor=resolution([*problem.stretches, *unseen]),
         seconds=sum(x.duration for x in unseen),
         unseen=tuple(x.source for x in unseen),
+        motion=max(unseen, key=lambda x: x.duration),
         asked=asked,
         resting=tuple(robot.joints[j] for j in np.flatnonzero(problem.resting)),
         scale=tuple(known),

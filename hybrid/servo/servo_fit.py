@@ -11,7 +11,7 @@ from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import QUANTITIES, Drive
 from hybrid.servo.simulator import ServoSimulator
-from hybrid.servo.stretch import stretches_of
+from hybrid.servo.stretch import Stretch, stretches_of
 from hybrid.shown import Shown
 
 _UNKNOWN = 4.0  # times the resolution of the encoder: a larger error has a cause
@@ -88,6 +88,7 @@ class ServoFit(Shown):
         floor: Resolution of the encoder, a lower bound of errors, shape (n,), [rad].
         seconds: Length of the held-out motion, [s].
         unseen: Its logs.
+        motion: Its longest stretch.
         asked: Lowest and highest command of all logs, shape (2, n), [rad].
         resting: Joints that no log moves; they keep the values of the file.
         scale: Joints whose links have a known mass, which sets the scale of all
@@ -107,6 +108,7 @@ class ServoFit(Shown):
     floor: Array
     seconds: float
     unseen: tuple[str, ...]
+    motion: Stretch
     asked: Array
     resting: tuple[str, ...]
     scale: tuple[str, ...]
@@ -141,14 +143,17 @@ class ServoFit(Shown):
         tail = f" and {more} more" if more > 0 else ""
         return f"{text} Left without a known cause: {places}{tail}."
 
-    def replayed(self, recording: Recording) -> ServoReplay:
-        """Replay a log with the servos of the file and with these.
+    def replayed(self, recording: Recording | None = None) -> ServoReplay:
+        """Replay a motion with the servos of the file and with these.
 
         Args:
-            recording: Log with command; its longest stretch without holes is used.
+            recording: Log with command, of which the longest stretch without holes is
+                used; the longest held-out motion by default.
         """
-        whole = stretches_of([recording.in_order(self.robot.joints)])
-        longest = max(whole, key=lambda x: x.duration)
+        longest = self.motion
+        if recording is not None:
+            whole = stretches_of([recording.in_order(self.robot.joints)])
+            longest = max(whole, key=lambda x: x.duration)
         simulator = ServoSimulator(self.robot)
         (before,), (after,) = simulator.replay([longest], [None]) + simulator.replay(
             [longest], [self.drive]
