@@ -13,7 +13,7 @@ from hybrid.diagnosis.answer.result import Result
 from hybrid.report import Table, markdown_table
 from hybrid.report.style import BLUE, GREY, PALE, RED, clean, legend, new_figure
 
-INKS = {"as the file stands": PALE, "links corrected": GREY, "with the findings": BLUE}
+INKS = {"as the file stands": PALE, "links corrected": GREY, "repaired simulator": BLUE}
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class Score:
     Attributes:
         arm: Its type.
         diagnosis: The answer.
-        held_out: RMS of torque and of its gap on samples that no step has seen, by
-            model, shape (n,) each, [N·m].
+        held_out: RMS of torque and of its gap on held-out samples, by model, shape
+            (n,) each, [N·m].
         unseen: Length of those samples, [s].
         seconds: Processor time of the diagnosis in torque, and of replay and advice.
     """
@@ -46,7 +46,10 @@ class Score:
 
 
 def held_out(result: Result) -> dict[str, np.ndarray]:
-    """RMS on samples that no step has seen, shape (n,) each, [N·m]."""
+    """RMS on samples to which nothing was fitted, shape (n,) each, [N·m].
+
+    They only decided which causes stay.
+    """
     scored, search = result.scored, result.search
     alone = np.zeros(len(scored.index))
     background = search.evidence.solve(search.background).gains
@@ -57,12 +60,15 @@ def held_out(result: Result) -> dict[str, np.ndarray]:
         "torque": [torque[rows, i] for i, rows in enumerate(scored.evidence.rows)],
         "as the file stands": scored.left(np.zeros(len(scored.index))),
         "links corrected": scored.left(alone),
-        "with the findings": scored.after,
     }
-    return {
+    found = {
         name: np.array([np.sqrt(np.mean(x**2)) if len(x) else np.nan for x in parts])
         for name, parts in squares.items()
     }
+    unseen = result.diagnosis.unseen
+    assert unseen is not None
+    found["repaired simulator"] = np.array(unseen.after)
+    return found | {"plain least squares": np.array(unseen.least_squares)}
 
 
 def said(score: Score) -> str:
@@ -112,7 +118,9 @@ def gap_table(score: Score) -> Table:
     before, after = (score.held_out[k] for k in list(INKS)[::2])
     cut = 1 - np.append(after / before, np.nanmean(after) / np.nanmean(before))
     rows.append(("removed", *(f"{x:.0%}" for x in cut)))
-    caption = f"{score.arm}: RMS on {score.unseen:.1f} s that no step has seen, N·m"
+    caption = (
+        f"{score.arm}: RMS on {score.unseen:.1f} s to which nothing was fitted, N·m"
+    )
     numbers = (str(k + 1) for k in range(len(score.diagnosis.joints)))
     return Table(("joint", *numbers, "mean"), tuple(rows), caption)
 
