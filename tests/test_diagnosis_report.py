@@ -129,6 +129,11 @@ class TestPage:
         assert "14 times the noise ( next.csv )" in words
         assert "the clock jumps" in words and "elbow above 3 rad/s" in words
 
+    def test_it_says_what_the_held_out_motion_was_used_for(self, page):
+        words = plain(page)
+        assert "nothing was fitted to it; it only decided which causes stay" in words
+        assert "no step" not in words
+
     def test_a_gap_that_grows_is_said_to_be_more(self):
         grown = Shrink(0.01, 0.033, -2.3, (-5.9, 0.4), 0.5, "rad")
         words = shrink_sentence("motion", grown).replace("\u00a0", " ")
@@ -166,7 +171,7 @@ class TestPage:
 
 
 class TestCurves:
-    """What is drawn, on samples that no step has seen."""
+    """What is drawn, on held-out samples."""
 
     def test_the_fitted_law_is_the_true_one(self):
         curves = joint_curves(planar(), 0)
@@ -291,7 +296,7 @@ class TestVerdict:
         assert lines[0] == headline(planar().diagnosis)
         assert lines[1].startswith("Explained: 2 effects account for all of the gap")
         assert lines[2].startswith("RMS gap in N·m: shoulder 1.")
-        assert lines[4].startswith("On unseen motion, in N·m: shoulder 1.")
+        assert lines[4].startswith("On held-out motion, in N·m: shoulder 1.")
         assert lines[5].startswith("1. Torque ripple at shoulder: ")
         assert "% less (95% interval " in lines[6]
 

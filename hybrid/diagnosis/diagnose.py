@@ -50,7 +50,7 @@ _EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
 _MISSED = 0.05  # share of a joint's squares, of a gap without a cause
 _UNTESTED = (
     "{} acts only on the training samples: its shrinkage is measured on them, and not "
-    "on unseen motions"
+    "on held-out motion"
 )
 _FILE_ERRORS = (
     "masses and inertias of the file are off by about {:.0%}, a gap by themselves: "
@@ -218,7 +218,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         doubts.append(_DOUBTFUL.format(", ".join(gap.robot.joints[j] for j in far)))
     search.substitute_unknown_laws()
     kinds = [named.get(c, {}) for c in search.known]
-    tell("scoring on unseen motions", 0.6)
+    tell("scoring on held-out motion", 0.6)
     scored, effects = explain(search), refit(search)
     each = zip(search.known, kinds, scored.named, strict=True)
     certain = [c for c, kind, name in each if kind or name != c.place[0]]

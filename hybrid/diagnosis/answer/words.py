@@ -169,7 +169,7 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
     ]
     parts = [_few(falls, between=", "), *cautions(diagnosis)]
     if any(parts):
-        yield f"On unseen motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
+        yield f"On held-out motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
 
 
 def probability(f: Finding) -> list[str]:
