@@ -25,6 +25,7 @@ from hybrid.diagnosis.answer.diagnosis import (
 from hybrid.diagnosis.answer.words import (
     MOST_LINES,
     headline,
+    number,
     range_name,
     region_name,
     shrink_sentence,
@@ -133,6 +134,16 @@ class TestPage:
         words = plain(page)
         assert "nothing was fitted to it; it only decided which causes stay" in words
         assert "no step" not in words
+
+    @pytest.mark.parametrize(
+        ("x", "digits", "text"),
+        [
+            (1274.0, 3, "1270"), (99.7, 2, "100"), (-123456.0, 3, "−123000"),
+            (0.00123, 3, "0.00123"), (29.24, 3, "29.2"), (2e6, 3, "2e+06"),
+        ],
+    )  # fmt: skip
+    def test_a_number_of_usual_size_has_no_exponent(self, x, digits, text):
+        assert number(x, digits) == text
 
     def test_a_gap_that_grows_is_said_to_be_more(self):
         grown = Shrink(0.01, 0.033, -2.3, (-5.9, 0.4), 0.5, "rad")
@@ -296,7 +307,10 @@ class TestVerdict:
         assert lines[0] == headline(planar().diagnosis)
         assert lines[1].startswith("Explained: 2 effects account for all of the gap")
         assert lines[2].startswith("RMS gap in N·m: shoulder 1.")
-        assert lines[4].startswith("On held-out motion, in N·m: shoulder 1.")
+        assert lines[4].startswith(
+            "On held-out motion, in N·m: repaired by all effects, unnamed ones too, "
+            "shoulder 1."
+        )
         assert lines[5].startswith("1. Torque ripple at shoulder: ")
         assert "% less (95% interval " in lines[6]
 
@@ -347,11 +361,16 @@ class TestVerdict:
         left = Unseen(
             (4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5), (1.2, 1.9)
         )
-        where = headline(replace(some, unseen=left))
-        assert where.endswith("; most is left at elbow, 1.9 of 2\u00a0N·m")
+        where = headline(replace(some, unseen=left)).replace("\u00a0", " ")
+        assert where.endswith("; with these alone most is left at elbow, 1.9 of 2 N·m")
         less = replace(left, after=(1.2, 0.5), named=(1.2, 1.3))
         where = headline(replace(some, unseen=less))
-        assert where.endswith("; most is left at elbow, 1.3 of 2\u00a0N·m")
+        assert where.endswith(
+            "; with these alone most is left at elbow, 1.3 of 2\u00a0N·m"
+        )
+        where = headline(replace(some, unseen=replace(left, named=(1.2, 2.1))))
+        where = where.replace("\u00a0", " ")
+        assert where.endswith("; most is left at elbow, none of 2 N·m is explained")
         some = replace(some, unseen=None)
         assert headline(some).startswith("Coulomb at 3 joints, coulomb at joint_0, ")
         assert headline(some).endswith(" and 1 more; 31% of the gap is left")

@@ -70,8 +70,10 @@ def _rest(diagnosis: Diagnosis) -> str:
     if not unseen:
         return f"{rest:.0%} of the gap is left"
     joint, end, x = max(unseen, key=lambda x: x[2]["named"] - x[2]["noise"])
-    sizes = f"{number(x['named'])} of {number(x['before'])}"
-    return f"most is left at {joint}, {sizes}{end or _NO_BREAK + _TORQUE}"
+    whole = f"{number(x['before'])}{end or _NO_BREAK + _TORQUE}"
+    if x["named"] >= x["before"]:
+        return f"most is left at {joint}, none of {whole} is explained"
+    return f"with these alone most is left at {joint}, {number(x['named'])} of {whole}"
 
 
 def joints_named(names: Sequence[str]) -> str:
@@ -167,9 +169,12 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
         for joint, end, x in _unseen(diagnosis)
         if joint in named
     ]
-    parts = [_few(falls, between=", "), *cautions(diagnosis)]
-    if any(parts):
-        yield f"On held-out motion, in {_TORQUE}: {'; '.join(x for x in parts if x)}"
+    parts = cautions(diagnosis)
+    if falls:
+        repaired = _few(falls, between=", ")
+        parts = [f"repaired by all effects, unnamed ones too, {repaired}", *parts]
+    if parts:
+        yield f"On held-out motion, in {_TORQUE}: {'; '.join(parts)}"
 
 
 def probability(f: Finding) -> list[str]:
@@ -287,8 +292,11 @@ def value_cells(value: Value) -> tuple[str, str, str]:
 
 
 def number(x: float, digits: int = 3) -> str:
-    """A number with some significant digits and a typographic minus sign."""
-    return f"{x:.{digits}g}".replace("-", "−")
+    """A number with some significant digits and a typographic minus sign.
+
+    One from a thousandth to a million has no exponent.
+    """
+    return f"{float(f'{x:.{digits}g}'):.6g}".replace("-", "−")
 
 
 def _few(texts: Sequence[str], most: int = 3, between: str = "; ") -> str:
