@@ -145,6 +145,12 @@ class TestPage:
     def test_a_number_of_usual_size_has_no_exponent(self, x, digits, text):
         assert number(x, digits) == text
 
+    @pytest.mark.parametrize(("error", "usual"), [(0.02, True), (0.05, False)])
+    def test_only_small_errors_of_the_file_are_called_usual(self, error, usual):
+        words = plain(render_diagnosis(told(planar(), background=error)))
+        assert ("Errors of this size are usual" in words) == usual
+        assert ("usually nearer to the arm" in words) != usual
+
     def test_a_gap_that_grows_is_said_to_be_more(self):
         grown = Shrink(0.01, 0.033, -2.3, (-5.9, 0.4), 0.5, "rad")
         words = shrink_sentence("motion", grown).replace("\u00a0", " ")

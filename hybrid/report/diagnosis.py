@@ -14,6 +14,7 @@ from hybrid.diagnosis.answer import words
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.words import effect_name
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report.diagnosis_data import evidence_matrix, joint_curves
@@ -73,6 +74,7 @@ def render_diagnosis(result: Result) -> str:
         remainder=_remainder(result),
         matrix=matrix,
         delays=bool(result.delays),
+        usual_errors=diagnosis.background <= Prior().file_errors[1],
         data=_json_markup(drawn),
         provenance=diagnosis.provenance,
     )
