@@ -23,6 +23,7 @@ from hybrid.diagnosis.answer.diagnosis import (
     Value,
 )
 from hybrid.diagnosis.answer.words import (
+    LEAST_FINDINGS,
     MOST_LINES,
     headline,
     number,
@@ -288,7 +289,7 @@ class TestVerdict:
         st.integers(0, 12), st.integers(0, 5), st.booleans(), st.booleans(),
         st.sampled_from(["explained", "partly_explained", "unexplained", "no_gap"]),
     )  # fmt: skip
-    def test_it_is_never_more_than_ten_lines(
+    def test_it_has_few_lines_and_never_less_than_three_findings(
         self, causes, cares, where, next_, verdict
     ):
         diagnosis = replace(
@@ -302,11 +303,12 @@ class TestVerdict:
             advice=(Advice("run it slowly", ("a", "b"), 3.0),) if next_ else (),
         )
         lines = verdict_lines(diagnosis)
-        assert len(lines) <= MOST_LINES == 10
+        assert len(lines) <= MOST_LINES + LEAST_FINDINGS == 13
         assert ("Run next: run it slowly, to tell a from b" in lines) is next_
         shown = sum(bool(re.match(r"\d+\. ", line)) for line in lines)
         hidden = [int(m[1]) for x in lines if (m := re.match(r"… and (\d+) more", x))]
         assert shown + sum(hidden) == causes
+        assert shown >= min(causes, 3)
 
     def test_it_says_what_where_and_how_far(self):
         lines = verdict_lines(planar().diagnosis)

@@ -15,7 +15,7 @@ from hybrid.diagnosis.answer.diagnosis import (
 )
 from hybrid.shown import decimals_of
 
-MOST_LINES = 10
+MOST_LINES, LEAST_FINDINGS = 10, 3
 _TORQUE = "N·m"
 _NO_BREAK = "\u00a0"  # between a number and its unit
 
@@ -89,12 +89,12 @@ def gap_joints(diagnosis: Diagnosis) -> list[str]:
 
 
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
-    """The diagnosis in at most ten lines: verdict, gap, findings, advice."""
+    """Verdict, gap, findings and advice in ten lines, or what three findings need."""
     places, left = _places(diagnosis), _left(diagnosis)
     begin = [headline(diagnosis), verdict_sentence(diagnosis)]
     begin += [*_doubts(diagnosis), *places, *left]
     end = list(_endings(diagnosis))
-    room = MOST_LINES - len(begin) - len(end)
+    room = max(MOST_LINES - len(begin) - len(end), LEAST_FINDINGS + 1)
     entries = [list(_entry(k + 1, f)) for k, f in enumerate(diagnosis.findings)]
     if sum(map(len, entries)) > room:
         entries = [entry[:1] for entry in entries]
