@@ -9,6 +9,7 @@ from simulated import arm, quiet
 
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import (
     HybridWarning,
@@ -158,6 +159,18 @@ def test_steps_of_dry_friction_are_no_noise(fit, logs):
     noise = 0.1 * np.random.default_rng(0).normal(size=tau.shape)
     floor = validate(model, [replace(motion, tau=tau + noise)]).noise_floor
     np.testing.assert_allclose(floor, [0.1, 0.1], rtol=0.1)
+
+
+def test_a_bad_model_does_not_raise_the_noise_floor(fit, logs):
+    noise = 0.5 * np.random.default_rng(0).normal(size=logs[3].tau.shape)
+    log = replace(logs[3], tau=logs[3].tau + noise)
+    ripples = [TorqueRipple((j,), {"cosine": 9.0, "periods": 500.0}) for j in range(2)]
+    good = replace(fit.model, simpler={"good": replace(fit.model, simpler={})})
+    bad = replace(good, effects=(*good.effects, *ripples))
+    found, best = (validate(x, [log]) for x in (bad, good))
+    np.testing.assert_allclose(found.noise_floor, best.noise_floor, rtol=1e-9)
+    assert found.rows[-1].mean > 2 * found.rows[0].mean
+    assert all((found.noise_floor <= row.rms).all() for row in found.rows)
 
 
 def test_a_joint_at_rest_has_no_error_and_does_not_count(logs):

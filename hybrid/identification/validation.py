@@ -66,7 +66,8 @@ class Validation:
         joints: Its joints.
         units: Units of their torques: N·m, or N at a joint that slides.
         rows: Models, from the simplest to the complete one.
-        noise_floor: RMS of the noise of the torque, shape (n,), [N·m].
+        noise_floor: RMS of the noise of the torque, at most the least error of all
+            models, shape (n,), [N·m].
         sources: Names of the recordings.
         samples: Number of moving samples, of the joint with most.
         seconds: Duration of the recordings, [s].
@@ -149,17 +150,19 @@ def validate(
         return np.where(count > 0, np.sqrt(mean), np.nan)
 
     size = np.maximum(rms([m.tau for m in motions]), 1e-300)
-    rows = []
+    rows, floors = list[ValidationRow](), list[Array]()
     for name, one in {**model.simpler, model.stage: model}.items():
         left = [replace(m, tau=m.tau - one.predict(m)) for m in motions]
         error = rms([m.tau for m in left])
         rows.append(ValidationRow(name, error, error / size))
+        floor = noise_floor(left, model.cutoff)
+        floors += [] if floor is None else [floor, error]
     return Validation(
         robot=model.robot.name,
         joints=model.robot.joints,
         units=model.robot.chain.units("N·m"),
         rows=tuple(rows),
-        noise_floor=noise_floor(left, model.cutoff),
+        noise_floor=np.fmin.reduce(floors) if floors else None,
         sources=tuple(m.source for m in motions),
         samples=int(count.max()),
         seconds=float(sum(m.t[-1] - m.t[0] for m in motions)),
