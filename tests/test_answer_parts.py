@@ -566,11 +566,14 @@ def test_a_finding_has_its_shrinkage_in_motion():
     assert "motion" not in once.findings[0].shrink
 
 
-@pytest.mark.parametrize(("after", "told"), [(0.99, False), (1.0, True)])
-def test_a_motion_error_of_a_radian_has_no_meaning(after, told):
-    found = in_motion(Shrink(2.0, after, 0.5, (0.4, 0.6), 0.5, "rad"))
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [(0.9, 0.99, False), (0.9, 1.0, True), (0.99, 0.1, False), (3.14, 0.1, True)],
+)
+def test_a_motion_error_of_a_radian_has_no_meaning(before, after, told):
+    found = in_motion(Shrink(before, after, 0.5, (0.4, 0.6), 0.5, "rad"))
     assert ("motion" not in found.findings[0].shrink) == told
-    assert any("leaves the motion with or without backlash" in x for x in
+    assert any("leaves the motion, with backlash or without" in x for x in
                found.warnings) == told  # fmt: skip
 
 

@@ -17,7 +17,10 @@ from hybrid.progress import Progress
 
 _DIVERGED = 1.0  # rad; a larger motion error has no meaning
 _STEP_ERROR = 0.1  # of the motion error without findings
-_ASTRAY = "replayed, the simulator leaves the motion with or without {}"
+_ASTRAY = (
+    "replayed, the simulator leaves the motion, with {} or without: its shrinkage in "
+    "motion is not known"
+)
 _NO_REPLAY = (
     "too few stretches of a tenth of a second, of those kept for scoring, to replay "
     "{}: its shrinkage in motion is not known"
@@ -65,7 +68,7 @@ def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diag
             shrink = motion_shrink(replay, members, rng, delays=delays)
             if shrink is None:
                 unknown.append(f.effect)
-            elif shrink.after >= _DIVERGED:
+            elif max(shrink.before, shrink.after) >= _DIVERGED:
                 diverged.append(f.effect)
             else:
                 f = replace(f, shrink={**f.shrink, "motion": shrink})
