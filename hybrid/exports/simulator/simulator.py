@@ -26,6 +26,7 @@ from hybrid.robot.edit.urdf import edit_urdf, move_meshes
 from hybrid.signals import Motion
 
 _SAME = 1e-9  # of the largest value of a kind
+_TOLD = 1e-3  # of a torque: what a file misses below is not told
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,11 @@ def build_simulator(
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
     lacks += origin.notes
-    lacks += [_friction_note(robot, x) for x in planned.friction]
+    lacks += [
+        _friction_note(robot, x)
+        for x in planned.friction
+        if x.missed > _TOLD * x.torque
+    ]
     lacks += [*(effect_note(robot, effect) for effect in planned.missing), *notes]
     if lacks:
         lines = [f"Not in this file, or only nearly: {xml_comment(x)}." for x in lacks]
