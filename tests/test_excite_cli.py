@@ -82,6 +82,7 @@ def test_the_condition_number_is_of_the_rigid_body_alone_in_named_columns(
     named = content["rigid_conditions"]
     assert named["first independent columns"] == pytest.approx(content["condition"])
     said = capsys.readouterr().out
+    assert " % away, where 80% of the file's limits are used (--fill)" in said
     assert all(f"{x:.4g} ({columns})" in said for columns, x in named.items())
 
 

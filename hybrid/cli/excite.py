@@ -157,7 +157,10 @@ def _tell(args: Namespace, screen: Screen, found: Design) -> None:
         parts = ", ".join(f"{100 * x:.0f} %" for x in found.additions[1:])
         screen.say(f"each further motion shortens the mean standard error by {parts}")
     name, worst = max(found.excess.items(), key=lambda item: item[1])
-    screen.say(f"nearest limit: {name}, {-100 * worst:.2g} % away")
+    screen.say(
+        f"nearest limit: {name}, {-100 * worst:.2g} % away, where {args.fill:.0%} of "
+        "the file's limits are used (--fill)"
+    )
     asked = {"links that meet (--clearance)": args.clearance}
     asked["a floor (--floor)"] = args.floor
     if left_out := [what for what, given in asked.items() if given is None]:

@@ -34,7 +34,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "size; see 'hybrid effects' (default: none beside those of a truth)",
     )
     parser.add_argument("--trajectories", type=options.count, default=4, metavar="N")
-    words = "length of each trajectory, s (default 10)"
+    words = "length of each trajectory, s"
     options.add_number(parser, "--duration", "S", words, 10.0)
     options.add(parser, "--out", "--seed")
     parser.add_argument("--format", choices=("csv", "parquet", "npz"), default="csv")

@@ -38,7 +38,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     options.add(parser, "--model", "--recording", "--map")
     options.add(parser, "--out", metavar="FILE")
-    words = "relative standard deviation of the model's parameters (default: 0.05)"
+    words = "relative standard deviation of the model's parameters"
     options.add_number(parser, "--prior", "SHARE", words, 0.05)
 
 

@@ -143,6 +143,8 @@ def add_number(
     default: float | None = None,
 ) -> None:
     """Add an option that takes a number above zero."""
+    if default is not None:
+        words += f" (default {default:g})"
     parser.add_argument(
         name, type=positive, default=default, metavar=metavar, help=words
     )
