@@ -57,6 +57,16 @@ def test_positions_follow_their_command_late():
         assert joint.lag == pytest.approx(late, abs=1.01 / log().rate)
 
 
+def test_positions_before_their_command_are_doubted():
+    early, t = 0.08, log().t
+    command = np.stack([np.interp(t - early, t, x) for x in log().q.T], axis=1)
+    found = inspect_recording(replace(log(), command=command), arm())
+    for joint in found.joints:
+        assert joint.lag == pytest.approx(-early, abs=1.01 / log().rate)
+    (doubt,) = (x for x in found.doubts if x.channel == "command")
+    assert "q precedes the command, by up to 80 ms" in doubt.line
+
+
 def test_the_step_of_an_encoder_is_found():
     step = 2 * np.pi / 4096
     coarse = np.round(log().q / step) * step

@@ -6,6 +6,7 @@ samples that tell the same, the covariance of the parameters is ``C = (Wᵀ Σ�
 parameter is identifiable if it differs from zero by 1.96 standard errors.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics.base import base_parameters, inertial_labels
 from hybrid.dynamics.regressor import regressor
 from hybrid.dynamics.stacked import rich_motion
+from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.masses import CREEP, smooth_sign
 from hybrid.inspect.samples import resolution
 from hybrid.inspect.state import State
@@ -25,6 +27,7 @@ from hybrid.statistics import HALF_WIDTH
 _RANK = 1e-9  # of the largest column or singular value: what is below is rounding
 _BLIND = 0.01  # share of a parameter in directions without torque
 _LONGEST_LAG = 0.5  # s, of a servo behind its command
+_EARLY = 0.02  # s, by which a position clearly precedes its command
 _MOST_ROWS = 100_000  # of a log that are compared at each lag
 _DRIVES = ("Ia", "Fv", "Fc", "offset")
 
@@ -42,7 +45,8 @@ class JointCoverage:
         moving: Share of the time in which it moves.
         resolution: Smallest step of its position, [rad or m]; infinite if it rests.
         torque: Lowest and highest torque, [N·m or N]; None without torque.
-        lag: Delay of its position behind its command, [s]; None without a command.
+        lag: Delay of its position behind its command, [s]; below zero if it precedes
+            the command, and None without one.
     """
 
     joint: str
@@ -94,6 +98,18 @@ def coverage_of(
             JointCoverage(joint, units[j], *ends, *pace, resolution(q), torque, lag)
         )
     return tuple(found)
+
+
+def doubts_of_lags(joints: Sequence[JointCoverage]) -> Iterator[Doubt]:
+    """Find positions that precede their command."""
+    lags = [0.0 if x.lag is None else x.lag for x in joints]
+    early = tuple(k for k, lag in enumerate(lags) if lag < -_EARLY)
+    if early:
+        names = ", ".join(joints[k].joint for k in early)
+        most = -min(lags)
+        text = f"{names}: q precedes the command, by up to {1000 * most:.0f} ms"
+        remedy = "valid is the command that the drive follows, on the clock of q"
+        yield Doubt("command", early, text, remedy, evidence=most)
 
 
 def excitation_of(chain: Chain, state: State) -> Excitation:
@@ -163,9 +179,13 @@ def _columns(chain: Chain, q: Array, v: Array, a: Array) -> Array:
 
 
 def _lag(command: Array, q: Array, most: int) -> int:
-    """The lag below ``most`` samples that minimises Var(q_k − command_{k−lag})."""
+    """The lag within ``most`` samples that minimises Var(q_k − command_{k−lag})."""
     samples = len(q)
-    step = 1 + samples // _MOST_ROWS
-    lags = range(min(most, samples // 2))
-    spread = [np.var(q[k::step] - command[: samples - k : step]) for k in lags]
-    return int(np.argmin(spread))
+    step, most = 1 + samples // _MOST_ROWS, min(most, samples // 2)
+
+    def spread(lag: int) -> float:
+        late, early = max(lag, 0), max(-lag, 0)
+        apart = q[late : samples - early] - command[early : samples - late]
+        return float(np.var(apart[::step]))
+
+    return min(sorted(range(1 - most, most), key=abs), key=spread, default=0)

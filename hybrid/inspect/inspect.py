@@ -3,7 +3,12 @@
 from collections.abc import Sequence
 
 from hybrid.arguments import typed
-from hybrid.inspect.coverage import JointCoverage, coverage_of, excitation_of
+from hybrid.inspect.coverage import (
+    JointCoverage,
+    coverage_of,
+    doubts_of_lags,
+    excitation_of,
+)
 from hybrid.inspect.doubt import Doubt, raise_or_warn
 from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import Inspection, clock_of
@@ -60,6 +65,7 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
         joints = coverage_of(longest, state, robot.chain if robot else None)
         if robot is not None and recording.has_torque:
             excitation = excitation_of(robot.chain, state)
+    doubts += tuple(doubts_of_lags(joints))
     return Inspection(recording, clock_of(recording), joints, excitation, doubts)
 
 

@@ -105,7 +105,7 @@ def joints_table(inspections: Sequence[Inspection]) -> Table:
                 f"{moving:.0%}",
                 f"{step:.2g}{turn}" if np.isfinite(step) else "–",
                 f"{least:.3g} … {most:.3g}{force}" if torque else "–",
-                f"{1000 * float(np.median(lag)):.0f}" if lag else "–",
+                f"{1000 * float(np.median(lag)):.0f}".replace("-", "−") if lag else "–",
             )
         )
     turn, force = usual
