@@ -22,10 +22,11 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
 from hybrid.exports import export, missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque
+from hybrid.identification.preparation import log_hash
 from hybrid.plant import install, load_truth, simulate
 from hybrid.plant.joint_fields import split_effects
 from hybrid.plant.lockstep import Lockstep
-from hybrid.recording import write
+from hybrid.recording import read_all, write
 from hybrid.robot import Robot
 
 
@@ -362,7 +363,12 @@ def test_export_fits_to_the_recordings_it_is_given_and_shows_what_is_missed(
              "--recordings", str(tmp_path / "log.csv")]  # fmt: skip
     told = ["--json", str(tmp_path / "gap.json"), "--out", str(tmp_path / "sim")]
     assert main([*given, "--format", "mjcf", *told]) == 0
-    assert "torque missed, exported: " in capsys.readouterr().out
+    out, err = capsys.readouterr()
+    assert "torque missed, exported: " in out and "no validation" not in out + err
+    (log,) = read_all([tmp_path / "log.csv"], joints=robot.joints)
+    replace(model, logs=(log_hash(log),)).save(tmp_path / "model.json")
+    assert main([*given, "--format", "mjcf", "--out", str(tmp_path / "again")]) == 0
+    assert "this is no validation" in "".join(capsys.readouterr())
     gap = json.loads((tmp_path / "gap.json").read_text())["gap"]
     assert gap["exported"][1] < 1.2 * gap["model"][1] < 0.6 * gap["as it was"][1]
     assert main([*given, "--format", "c", "--out", str(tmp_path / "c")]) == 2

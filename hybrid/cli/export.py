@@ -13,6 +13,7 @@ from hybrid.exports.manifest import FILE as MANIFEST
 from hybrid.exports.simulator.check import gaps
 from hybrid.identification import DynamicModel
 from hybrid.identification.preparation import checked_logs, motions_from_logs
+from hybrid.identification.validation import warn_of_own_logs
 from hybrid.names import file_stem
 from hybrid.signals import Motion
 
@@ -40,7 +41,8 @@ that the file as it was, the file written (mjcf, urdf) and the model miss is sho
 examples:
   hybrid export --model model.json --format c --out compensator
   hybrid export --model model.json --format mjcf --recordings held_out --out sim"""
-_FITTED = ("mjcf", "urdf", "isaaclab")
+_SCORED = ("mjcf", "urdf")
+_FITTED = (*_SCORED, "isaaclab")
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -89,14 +91,17 @@ def _motions(args: Namespace, model: DynamicModel, screen: Screen) -> list[Motio
             f"formats {', '.join(_FITTED)}"
         )
     logs = options.read_logs(args, screen, model.robot.joints)
-    return motions_from_logs(checked_logs(model.robot, logs), model.cutoff)[0]
+    logs = checked_logs(model.robot, logs)
+    if args.format in _SCORED:
+        warn_of_own_logs(model, logs)
+    return motions_from_logs(logs, model.cutoff)[0]
 
 
 def _gap(
     args: Namespace, model: DynamicModel, motions: list[Motion]
 ) -> dict[str, Array]:
     """What simulators and model miss of recordings."""
-    if not motions or args.format not in ("mjcf", "urdf"):
+    if not motions or args.format not in _SCORED:
         return {}
     suffix = "xml" if args.format == "mjcf" else "urdf"
     stem = file_stem(model.robot.name)

@@ -132,11 +132,7 @@ def validate(
     logs = checked_logs(model.robot, recordings)
     motions, _ = motions_from_logs(logs, model.cutoff)
     check_torque(motions)
-    for source in (x.source for x in logs if log_hash(x) in model.logs):
-        warn(
-            f"{source}: the model was identified from this log, so this is no "
-            "validation; valid are other logs"
-        )
+    warn_of_own_logs(model, logs)
     slowest = model.standing if standing is None else standing
     if not np.size(slowest):  # a model that was not identified
         slowest = standing_speed(motions)
@@ -167,6 +163,15 @@ def validate(
         samples=int(count.max()),
         seconds=float(sum(m.t[-1] - m.t[0] for m in motions)),
     )
+
+
+def warn_of_own_logs(model: DynamicModel, logs: Sequence[Recording | Motion]) -> None:
+    """Warn of each log that a model was identified from."""
+    for source in (x.source for x in logs if log_hash(x) in model.logs):
+        warn(
+            f"{source}: the model was identified from this log, so this is no "
+            "validation; valid are other logs"
+        )
 
 
 def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
