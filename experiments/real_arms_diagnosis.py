@@ -4,8 +4,8 @@ For a UR10, a Stäubli TX40 and a KUKA KR300, whose files declare no friction, a
 appears with the effects found, each with its share, its joints and how far it shrinks
 the torque gap on held-out samples; a second one and a picture have the gap of every
 joint as the file stands, with its link parameters corrected alone, and of the simulator
-that is written with all effects found. What is known of these arms from elsewhere stands beside it in
-``reports/real_arms/diagnosis.md``, which is written by hand.
+that is written with all effects found. What is known of these arms from elsewhere
+stands beside it in ``reports/real_arms/diagnosis.md``, which is written by hand.
 
     python experiments/real_arms_diagnosis.py DATA_FOLDER
 """

@@ -120,7 +120,7 @@ def build_simulator(
     lacks += [
         _friction_note(robot, x)
         for x in planned.friction
-        if x.missed > _TOLD * x.torque
+        if x.missed > _TOLD * x.torque or any(e.warms for e in x.effects)
     ]
     lacks += [*(effect_note(robot, effect) for effect in planned.missing), *notes]
     if lacks:
