@@ -90,8 +90,8 @@ def _motions(args: Namespace, model: DynamicModel, screen: Screen) -> list[Motio
             f"--recordings: nothing of {args.format} is fitted to speeds; valid are "
             f"formats {', '.join(_FITTED)}"
         )
-    logs = options.read_logs(args, screen, model.robot.joints)
-    logs = checked_logs(model.robot, logs)
+    read = options.read_logs(args, screen, model.robot.joints)
+    logs = checked_logs(model.robot, read)
     if args.format in _SCORED:
         warn_of_own_logs(model, logs)
     return motions_from_logs(logs, model.cutoff)[0]
