@@ -577,6 +577,7 @@ BAD_MODELS = {
     "validate --model {OUT}.json --recordings {FIT}": "out.json: cannot be read",
     "validate --model {FIT}/truth.json --recordings {FIT}": "schema",
     "validate --model {DAMAGED} --recordings {FIT}": "damaged",
+    "validate --model {LIST} --recordings {FIT}": "is [1, 2], not a saved model",
     "validate --model {EDITED} --recordings {FIT}": "edited.json: damaged or edited",
     "validate --model {CUT} --recordings {FIT}": "cut.json: damaged",
     "validate --robot {COMAN} --model {MODEL} --recordings {FIT}": "of joints shoulder",
@@ -586,6 +587,8 @@ BAD_MODELS = {
 BAD_OUTPUTS = {
     "simulate --robot {R} --out {FILE}": "no folder",
     "simulate --robot {R} --out {FILE}/below": "no folder",
+    "simulate --robot {R} --out /proc/d": "error: /proc/d/",
+    "demo --out /proc/d": "error: /proc/d/model.json: cannot be written",
     "simulate --robot {R} --out {OUT} --json {OUT}/truth.json": "another output",
     "identify --robot {R} --recordings {FIT} --out {OUT}.txt": ".json",
     "identify --robot {R} --recordings {FIT} --out {FILE}/m.json": "no folder",
@@ -612,6 +615,7 @@ class TestBadInput:
         edited = model.replace("true", "false", 1)
         (tmp_path / "edited.json").write_text(edited, "utf-8")
         (tmp_path / "cut.json").write_text(model[: len(model) // 2], "utf-8")
+        (tmp_path / "list.json").write_text("[1, 2]", "utf-8")
         damaged = tmp_path / "damaged.xml"
         for suffix in ("", ".csv", ".npz", ".yaml"):
             Path(f"{damaged}{suffix}").write_bytes(b"<mujoco>\x00[{\xff")
@@ -621,6 +625,7 @@ class TestBadInput:
             "LOG": tmp_path / "fit" / "trajectory_1.csv",
             "MODEL": tmp_path / "model.json", "EDITED": tmp_path / "edited.json",
             "CUT": tmp_path / "cut.json", "DAMAGED": damaged,
+            "LIST": tmp_path / "list.json",
             "FILE": tmp_path / "tau.csv", "OUT": tmp_path / "out",
         }  # fmt: skip
 

@@ -2,11 +2,11 @@
 
 import hashlib
 import math
-import os
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from hybrid.cli.shared.screen import Screen
@@ -218,11 +218,13 @@ def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> No
         parent = path.resolve().parent
         while not parent.exists():
             parent = parent.parent
-        if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
+        try:
+            TemporaryFile(dir=parent).close()
+        except OSError as error:
             raise HybridError(
                 f"{path}: cannot be written; {parent} is no folder "
                 "in which files can be made"
-            )
+            ) from error
         if path.resolve() in taken:
             raise HybridError(f"{path}: is {taken[path.resolve()]} as well")
         taken[path.resolve()] = "another output"
