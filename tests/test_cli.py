@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import warnings
@@ -713,6 +714,23 @@ class TestInterrupt:
             code=130,
         )
         assert tree(tmp_path) == {"tau.csv": b"old"}
+
+    def test_a_termination_while_writing_leaves_nothing(
+        self, tmp_path, capsys, monkeypatch
+    ):
+        def terminated(*_):
+            signal.raise_signal(signal.SIGTERM)
+
+        monkeypatch.setattr(
+            sys.modules["hybrid.plant.folder"], "write_json", terminated
+        )
+        before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        try:
+            simulate = f"simulate --robot {PLANAR} {SHORT} --out {tmp_path}/logs"
+            assert "terminated" in complaint(capsys, simulate, code=143)
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize("is_new", [False, True])
     def test_a_folder_of_recordings_is_of_one_run(
