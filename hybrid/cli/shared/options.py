@@ -69,6 +69,7 @@ def whole(text: str) -> int:
     return int(text)
 
 
+_MOST_NUMBERS = 2e8  # 1.6 GB
 # Provenance has what is stated to a verb, less what it reads, writes or runs on.
 _NOT_SETTINGS = {
     "verb", "run", "parser", "inputs", "how", "robot", "recordings", "recording",
@@ -146,6 +147,16 @@ def add_number(
     parser.add_argument(
         name, type=positive, default=default, metavar=metavar, help=words
     )
+
+
+def check_size(**factors: float) -> None:
+    """Refuse work on more numbers, the product of the factors, than memory holds."""
+    size = math.prod(factors.values())
+    if size > _MOST_NUMBERS:
+        words = " x ".join(f"{name} {x:g}" for name, x in factors.items())
+        raise HybridError(
+            f"{words} are {size:.2g} numbers; valid are up to {_MOST_NUMBERS:.0e}"
+        )
 
 
 def read_logs(
