@@ -562,6 +562,7 @@ BAD_EFFECTS = {
     "simulate --robot {R} --effects stribeck:wrist --out {OUT}": "shoulder, elbow",
     "simulate --robot {R} --effects stribeck( --out {OUT}": "cannot read 'stribeck('",
     "simulate --robot {R} --effects coulomb(x=1) --out {OUT}": "valid are level",
+    "simulate --robot {R} --effects coulomb:1(level=-3) --out {OUT}": "0 or more",
     "identify --robot {R} --recordings {FIT} --effects x --out {OUT}.json": "stribeck",
     "effects stribek": "stribeck",
     "effects --effects-from none.py": "none.py",
