@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import uuid
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -120,9 +121,19 @@ def read_yaml(path: str | Path) -> Any:
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It is too large, nested too deep, or not plain YAML.
+        ValueError: It is too large, nested too deep, not plain YAML, or has a key
+            twice.
     """
     import yaml
+
+    class Loader(yaml.SafeLoader):
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            found: dict[Any, Any] = super().construct_mapping(node, deep)
+            if len(found) < len(node.value):
+                keys = Counter(str(key.value) for key, _ in node.value)
+                key = keys.most_common(1)[0][0]
+                raise ValueError(f"has the key {key!r} twice; valid is once")
+            return found
 
     text, depth = _text(path, _MOST_YAML), 0
     try:
@@ -131,7 +142,7 @@ def read_yaml(path: str | Path) -> Any:
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
                 raise ValueError(f"has references, or more than {_DEEPEST} levels")
-        return yaml.safe_load(text)
+        return yaml.load(text, Loader)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(" ".join(str(error).split())) from error
 

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import warnings
@@ -539,6 +540,11 @@ BAD_ARGUMENTS = {
     "simulate --robot {R} --out {OUT} --trajectories 0": "whole number from 1",
     "simulate --robot {R} --out {OUT} --duration nan": "number above 0",
     "simulate --robot {R} --out {OUT} --duration 0.001": "samples",
+    "simulate --robot {R} --out {OUT} --trajectories 100000000": "valid are up to",
+    "simulate --robot {R} --out {OUT} --duration 1e9": "duration 1e+09 x rate",
+    "excite --robot {R} --out {OUT} --duration 1e9": "duration 1e+09 x joints 2",
+    "excite --robot {R} --out {OUT} --rate 1e9": "rate 1e+09 are 4e+10 numbers",
+    "excite --robot {R} --out {OUT} --order 100000": "coefficients 400000 are",
     "simulate --robot {R} --out {OUT} --format xls": "csv",
     "simulate --robot {R} --out {OUT} --joints ,": "names between commas",
     "identify --robot {R} --recordings {FIT} --out {OUT}.json --cutoff x": "above 0",
@@ -556,6 +562,7 @@ BAD_EFFECTS = {
     "simulate --robot {R} --effects stribeck:wrist --out {OUT}": "shoulder, elbow",
     "simulate --robot {R} --effects stribeck( --out {OUT}": "cannot read 'stribeck('",
     "simulate --robot {R} --effects coulomb(x=1) --out {OUT}": "valid are level",
+    "simulate --robot {R} --effects coulomb:1(level=-3) --out {OUT}": "0 or more",
     "identify --robot {R} --recordings {FIT} --effects x --out {OUT}.json": "stribeck",
     "effects stribek": "stribeck",
     "effects --effects-from none.py": "none.py",
@@ -577,6 +584,7 @@ BAD_MODELS = {
     "validate --model {OUT}.json --recordings {FIT}": "out.json: cannot be read",
     "validate --model {FIT}/truth.json --recordings {FIT}": "schema",
     "validate --model {DAMAGED} --recordings {FIT}": "damaged",
+    "validate --model {LIST} --recordings {FIT}": "is [1, 2], not a saved model",
     "validate --model {EDITED} --recordings {FIT}": "edited.json: damaged or edited",
     "validate --model {CUT} --recordings {FIT}": "cut.json: damaged",
     "validate --robot {COMAN} --model {MODEL} --recordings {FIT}": "of joints shoulder",
@@ -586,6 +594,8 @@ BAD_MODELS = {
 BAD_OUTPUTS = {
     "simulate --robot {R} --out {FILE}": "no folder",
     "simulate --robot {R} --out {FILE}/below": "no folder",
+    "simulate --robot {R} --out /proc/d": "error: /proc/d/",
+    "demo --out /proc/d": "error: /proc/d/model.json: cannot be written",
     "simulate --robot {R} --out {OUT} --json {OUT}/truth.json": "another output",
     "identify --robot {R} --recordings {FIT} --out {OUT}.txt": ".json",
     "identify --robot {R} --recordings {FIT} --out {FILE}/m.json": "no folder",
@@ -612,6 +622,7 @@ class TestBadInput:
         edited = model.replace("true", "false", 1)
         (tmp_path / "edited.json").write_text(edited, "utf-8")
         (tmp_path / "cut.json").write_text(model[: len(model) // 2], "utf-8")
+        (tmp_path / "list.json").write_text("[1, 2]", "utf-8")
         damaged = tmp_path / "damaged.xml"
         for suffix in ("", ".csv", ".npz", ".yaml"):
             Path(f"{damaged}{suffix}").write_bytes(b"<mujoco>\x00[{\xff")
@@ -621,6 +632,7 @@ class TestBadInput:
             "LOG": tmp_path / "fit" / "trajectory_1.csv",
             "MODEL": tmp_path / "model.json", "EDITED": tmp_path / "edited.json",
             "CUT": tmp_path / "cut.json", "DAMAGED": damaged,
+            "LIST": tmp_path / "list.json",
             "FILE": tmp_path / "tau.csv", "OUT": tmp_path / "out",
         }  # fmt: skip
 
@@ -708,6 +720,23 @@ class TestInterrupt:
             code=130,
         )
         assert tree(tmp_path) == {"tau.csv": b"old"}
+
+    def test_a_termination_while_writing_leaves_nothing(
+        self, tmp_path, capsys, monkeypatch
+    ):
+        def terminated(*_):
+            signal.raise_signal(signal.SIGTERM)
+
+        monkeypatch.setattr(
+            sys.modules["hybrid.plant.folder"], "write_json", terminated
+        )
+        before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        try:
+            simulate = f"simulate --robot {PLANAR} {SHORT} --out {tmp_path}/logs"
+            assert "terminated" in complaint(capsys, simulate, code=143)
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize("is_new", [False, True])
     def test_a_folder_of_recordings_is_of_one_run(

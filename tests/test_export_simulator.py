@@ -19,10 +19,11 @@ from hybrid.effects.presliding import Presliding
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
-from hybrid.errors import HybridError
+from hybrid.errors import HybridError, RobotError
 from hybrid.exports import export, missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.identification.preparation import log_hash
+from hybrid.exports.simulator.simulator import build_simulator
 from hybrid.plant import install, load_truth, simulate
 from hybrid.plant.joint_fields import split_effects
 from hybrid.plant.lockstep import Lockstep
@@ -341,6 +342,32 @@ def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
     assert (tmp_path / "own" / "planar.diff").stat().st_size > 0
     missing = [*given, "--robot", str(tmp_path / "no.xml")]
     assert main(["export", *missing, "--out", str(tmp_path / "x")]) == 2
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "urdf"])
+@pytest.mark.parametrize("suffix", ["xml", "urdf"])
+def test_a_file_of_another_arm_is_not_converted(tmp_path, kind, suffix):
+    robot = Robot.load(MODELS / "planar.xml")
+    path = tmp_path / f"planar.{suffix}"
+    build_simulator(robot, kind="mjcf" if suffix == "xml" else "urdf").write(path)
+    other = Robot.load(path)
+    chain = replace(other.chain, translation=1.1 * other.chain.translation)
+    with pytest.raises(RobotError, match="is of another arm"):
+        build_simulator(replace(other, chain=chain), kind=kind)
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "urdf", "isaaclab"])
+def test_the_command_line_refuses_a_file_of_another_arm(tmp_path, capsys, kind):
+    from hybrid.cli import main
+
+    robot = Robot.load(MODELS / "planar.xml")
+    model_of(robot, [Coulomb((0,), {"level": 0.5})]).save(tmp_path / "model.json")
+    given = ["--model", str(tmp_path / "model.json"), "--format", kind]
+    given += ["--out", str(tmp_path / "out"), "--robot"]
+    assert main(["export", *given, str(MODELS / "scara.xml")]) == 2
+    assert "error: " in capsys.readouterr().err
+    assert main(["export", *given, str(MODELS / "coman_like.xml")]) == 2
+    assert main(["export", *given, str(MODELS / "planar.xml")]) == 0
 
 
 def test_export_fits_to_the_recordings_it_is_given_and_shows_what_is_missed(

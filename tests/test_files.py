@@ -325,6 +325,8 @@ def test_a_path_is_written_beside_and_moved(tmp_path):
             "a: !!python/object/apply:os.getcwd []\n",
             "determine a constructor",
         ),
+        ("q: 1\nv: 2\nq: 3", "has the key 'q' twice; valid is once"),
+        ("a: [{b: 1, b: 1}]", "has the key 'b' twice"),
         ("x" * 200_000, "bytes; valid are up to"),
         ("a: [", "while parsing"),
     ],

@@ -306,6 +306,12 @@ def test_a_folder_of_folders_is_a_plan(tmp_path):
         read_plan(tmp_path / "cell")
 
 
+def test_of_what_is_no_plan_eighty_characters_are_shown(tmp_path):
+    (tmp_path / "plan.xml").write_text(f"<mujoco{3000 * 'x'}/>")
+    with pytest.raises(HybridError, match="'<mujocox{72} is not valid; valid are arms"):
+        read_plan(tmp_path / "plan.xml")
+
+
 @pytest.mark.parametrize(
     ("more", "line"),
     [

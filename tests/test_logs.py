@@ -292,7 +292,7 @@ def test_a_map_is_a_file_a_preset_or_a_dict(tmp_path):
         ({"q": ["nope"]}, "no column 'nope' for q of map among time, q1"),
         ({"tau": {"scale": np.nan}}, "scale is nan; valid are numbers"),
         ({"tau": {"gear_ratio": [1, np.inf]}}, "gear_ratio is inf; valid are numbers"),
-        ({"tau": {"scale": [1, 2]}}, "the map gives no scale for elbow_joint"),
+        ({"tau": {"scale": [1, 2]}}, "the map gives 2 numbers as scale for 6 joints"),
         ({"time": {"rate": 0}}, "valid is a rate above 0, in Hz"),
         ({"time": "clock"}, "no column 'clock' among time, q1"),
         ("my.json", "my.json: no map; valid are a .yaml file and ur_rtde"),

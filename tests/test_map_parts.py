@@ -36,10 +36,12 @@ def test_factors_of_a_joint_multiply():
     source = Source(
         factors={"ratio": 10.0, "constant": (2.0, 3.0), "scale": {"b": 0.5}}
     )
-    assert source.factor("b", 1) == 15.0
-    for joint, place, name in (("a", 1, "scale"), ("b", 2, "constant")):
-        with pytest.raises(RecordingError, match=f"no {name} for {joint}"):
-            source.factor(joint, place)
+    assert source.factor("ab", 1) == 15.0
+    with pytest.raises(RecordingError, match="no scale for a"):
+        source.factor("ab", 0)
+    for joints in ("b", "bcd"):
+        with pytest.raises(RecordingError, match="2 numbers as constant for"):
+            source.factor(joints, 0)
     assert Source().factor("a", 0) == 1.0
 
 
@@ -91,7 +93,9 @@ def test_a_map_is_above_its_preset_channel_by_channel():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"qq": 1, "x": 2}, "unknown key 'qq'"), ([1], r"unknown key '\[1\]'"),
+        ({"qq": 1, "x": 2}, "unknown key 'qq'"), ([1], r"is \[1\], not a map"),
+        (None, "map: is empty, not a map"), ({"joints": ["a", "a"]}, "each once"),
+        ({"joints": {"m": ["a"]}}, "joints is {'m'"),
         ({"preset": "mine"}, "unknown preset 'mine'"), ({"joints": 3}, "joints is 3"),
         ({"q": {"unit": "kg"}}, "unit 'kg' is none of rad or m"),
         ({"tau": {"unit": "deg"}}, "unit 'deg' is none of"),
@@ -106,7 +110,7 @@ def test_a_map_is_above_its_preset_channel_by_channel():
     ],
 )  # fmt: skip
 def test_what_is_no_map_is_refused(content, words):
-    if isinstance(content, list):
+    if not isinstance(content, dict):
         from hybrid.recording.mapping import _mapping
 
         with pytest.raises(RecordingError, match=words):

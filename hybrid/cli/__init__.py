@@ -10,6 +10,8 @@ from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Collection, Sequence
 from importlib import import_module
 from pathlib import Path
+from signal import SIGTERM, signal
+from threading import current_thread, main_thread
 from typing import Any, NoReturn
 
 from hybrid import __version__
@@ -18,7 +20,7 @@ from hybrid.names import printable
 
 __all__ = ["build_parser", "main"]
 
-OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
+OK, BUG, BAD_INPUT, INTERRUPTED, BROKEN_PIPE, TERMINATED = 0, 1, 2, 130, 141, 143
 
 _VERBS = {
     "demo": "identify a UR10 from a real log that comes with the package",
@@ -49,7 +51,8 @@ from nothing to a validated model:
   hybrid predict --model model.json --recording logs/held_out/trajectory_1.csv \\
       --out tau.csv
 
-exit codes: 0 done, 2 bad input (one line on stderr says what is valid), 130 Ctrl-C
+exit codes: 0 done, 2 bad input (one line on stderr says what is valid), 130 Ctrl-C,
+            143 SIGTERM
 'hybrid VERB --help' tells more"""
 
 
@@ -60,8 +63,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments; those of the process by default.
 
     Returns:
-        Exit code: 0, 2 for bad input, 130 after Ctrl-C, 1 for an error in this program.
+        Exit code: 0, 2 for bad input, 130 after Ctrl-C, 143 after SIGTERM, 1 for an
+        error in this program.
     """
+    if current_thread() is main_thread():
+        signal(SIGTERM, _terminate)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # "±" on a terminal of 1985
@@ -69,6 +75,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _run(_parsed(sys.argv[1:] if argv is None else argv))
     except HybridError as error:
         return _fail(BAD_INPUT, str(error))
+    except _Terminated:
+        return _fail(TERMINATED, "terminated; nothing is half-written")
     except KeyboardInterrupt:
         return _fail(INTERRUPTED, "interrupted; nothing is half-written")
     except BrokenPipeError:
@@ -87,6 +95,14 @@ def main(argv: Sequence[str] | None = None) -> int:
             "report it; HYBRID_DEBUG=1 shows where it is)",
         )
     return OK
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM ends the work as Ctrl-C does."""
+
+
+def _terminate(*_: Any) -> NoReturn:
+    raise _Terminated
 
 
 class Parser(ArgumentParser):

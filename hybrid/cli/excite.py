@@ -103,6 +103,11 @@ def run(args: Namespace, screen: Screen) -> None:
     plain = args.criterion == "condition"
     wanted = "" if plain and args.effects is None else args.effects or _FITTED
     effects = options.load_effects(wanted, robot)
+    counts = {"trajectories": args.trajectories, "duration": args.duration}
+    counts["joints"] = robot.size
+    grid = max(20.0, 8.0 * args.order / args.duration)
+    options.check_size(**counts, rate=args.rate)
+    options.check_size(**counts, rate=grid, coefficients=2 * args.order * robot.size)
     outputs = [*reference_paths(args.out, args.trajectories), args.out / DESIGN]
     pictures = [args.out / name for name in _PICTURES]
     options.begin(args, *outputs, *pictures)
@@ -125,7 +130,7 @@ def run(args: Namespace, screen: Screen) -> None:
             trajectories=args.trajectories,
             starts=args.starts,
             together=args.together,
-            rate=max(20.0, 8.0 * args.order / args.duration),
+            rate=grid,
         )
     found.save(args.out, rate=args.rate, more={"provenance": args.how})
     motion, information, postures = pictures

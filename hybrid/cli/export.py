@@ -14,7 +14,9 @@ from hybrid.exports.simulator.check import gaps
 from hybrid.identification import DynamicModel
 from hybrid.identification.preparation import checked_logs, motions_from_logs
 from hybrid.identification.validation import warn_of_own_logs
+from hybrid.model import check_same_arm
 from hybrid.names import file_stem
+from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 HELP = """\
@@ -112,7 +114,12 @@ def _with_file(model: DynamicModel, args: Namespace) -> DynamicModel:
     """The model with its robot's file, as given or beside the model."""
     if args.robot and not args.robot.is_file():
         raise HybridError(f"{args.robot}: no such robot file")
-    args.inputs += [args.robot] if args.robot else []
+    if args.robot:
+        args.inputs.append(args.robot)
+        own = model.robot
+        check_same_arm(
+            model, Robot.load(args.robot, joints=own.joints, held=dict(own.held))
+        )
     beside = args.model.parent / model.robot.path
     path = args.robot or (beside if model.robot.path and beside.is_file() else "")
     return replace(model, robot=replace(model.robot, path=str(path)))

@@ -43,9 +43,15 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace, screen: Screen) -> None:
     """Simulate and write."""
     suffix = f".{args.format}"
-    paths = recording_paths(args.out, args.trajectories, suffix)
-    writer_of(paths[0])  # refuses what cannot be written
+    writer_of(args.out / f"log{suffix}")  # refuses what cannot be written
     plant = options.load_plant(args)
+    options.check_size(
+        trajectories=args.trajectories,
+        duration=args.duration,
+        rate=plant.control_rate,
+        joints=plant.robot.size,
+    )
+    paths = recording_paths(args.out, args.trajectories, suffix)
     options.begin(args, *paths, args.out / TRUTH)
     with screen.working(f"simulating {plant.robot.name}"):
         recordings = simulate(

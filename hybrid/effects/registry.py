@@ -157,7 +157,8 @@ def effects_from_text(
     two joints, ``coulomb:1,coulomb:2(level=4;…)`` several.
 
     Raises:
-        EffectError: The text does not parse, or names what does not exist.
+        EffectError: The text does not parse, names what does not exist, or gives a
+            quantity a sign that it cannot have.
     """
     effects: list[Effect] = []
     for item in filter(None, (part.strip() for part in text.split(","))):
@@ -171,7 +172,17 @@ def effects_from_text(
         cls = effect_class(effect_id)
         for group in _groups(cls, joints, names):
             effects.append(cls.typical(group, scales, **values))
+            _check_signs(effects[-1], item)
     return effects
+
+
+def _check_signs(effect: Effect, item: str) -> None:
+    for quantity in (*effect.gains, *effect.shapes):
+        value = effect.values[quantity.name]
+        if quantity.lower >= 0 and not value >= 0:
+            raise EffectError(
+                f"{item!r}: {quantity.name} is {value:g}; valid is 0 or more"
+            )
 
 
 def _values(text: str, item: str) -> dict[str, float]:

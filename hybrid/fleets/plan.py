@@ -214,7 +214,7 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
 
 def _check_keys(content: Any, valid: set[str], where: str) -> None:
     is_table = isinstance(content, Mapping)
-    strange = set(map(str, content)) - valid if is_table else {repr(content)}
+    strange = set(map(str, content)) - valid if is_table else {f"{content!r:.80}"}
     if strange:
         raise HybridError(
             f"{where}: {', '.join(sorted(strange))} is not valid; valid are "

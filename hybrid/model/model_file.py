@@ -76,6 +76,10 @@ def read_model(kind: type[DynamicModel], path: Path) -> DynamicModel:
 
 
 def _read(kind: type[DynamicModel], content: Any) -> DynamicModel:
+    if not isinstance(content, dict):
+        raise ModelFileError(
+            f"is {content!r:.80}, not a saved model; valid is what identify writes"
+        )
     if content.get("schema") != SCHEMA:
         found = content.get("schema", "none")
         raise ModelFileError(f"schema is {found!r}, valid is {SCHEMA}")

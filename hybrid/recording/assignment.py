@@ -101,7 +101,7 @@ class Assignment:
         source = self._source("time")
         name = source.columns
         if "rate" in source.factors:
-            step = 1 / source.factor("time", 0)
+            step = 1 / source.factor(("time",), 0)
             return Used(-1, "", "t", "", "s", True, step)
         if name is not None and ("time" in self.map.sources or name in self.labels):
             found = [k for k, x in enumerate(self.labels) if x == name]
@@ -286,7 +286,7 @@ class Assignment:
             known = current or known
             if known is None or constant != bool(current):
                 raise self._unit_error(self._label(column), unit, channel)
-            factor = known[0] * source.factor(joint, place)
+            factor = known[0] * source.factor(joints, place)
             words = (column.index, self._label(column), channel, joint)
             shown = unit or SI[channel][0]
             used.append(Used(*words, shown, bool(unit), factor, known[1]))

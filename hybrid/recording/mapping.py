@@ -61,20 +61,25 @@ class Source:
                     found[k] = joint or "1"
         return found
 
-    def factor(self, joint: str, place: int) -> float:
-        """Product of all factors for a joint, which is number ``place`` from 0."""
-        product = 1.0
+    def factor(self, joints: Sequence[str], place: int) -> float:
+        """Product of all factors for the joint at a place, from 0, among the joints."""
+        product, joint = 1.0, joints[place]
         for name, value in self.factors.items():
-            try:
-                if isinstance(value, dict):
-                    product *= value[joint]
-                else:
-                    product *= value[place] if isinstance(value, tuple) else value
-            except (KeyError, IndexError) as error:
+            if isinstance(value, tuple) and len(value) != len(joints):
+                raise RecordingError(
+                    f"the map gives {len(value)} numbers as {name} for "
+                    f"{len(joints)} joints; valid is one for each of "
+                    f"{', '.join(joints)}, in this order"
+                )
+            if isinstance(value, dict) and joint not in value:
                 raise RecordingError(
                     f"the map gives no {name} for {joint}; valid is a number, a list "
                     "in the order of the joints, or one for each joint by name"
-                ) from error
+                )
+            if isinstance(value, dict):
+                product *= value[joint]
+            else:
+                product *= value[place] if isinstance(value, tuple) else value
         return product
 
 
@@ -137,10 +142,12 @@ def preset_of(labels: tuple[str, ...], name: str = "") -> Mapping:
 
 
 def _mapping(content: Any, origin: str) -> Mapping:
-    unknown = [content]
-    if isinstance(content, dict):
-        unknown = [key for key in content if key not in _KEYS]
-    if unknown:
+    if not isinstance(content, dict):
+        found = "empty" if content is None else f"{content!r:.80}"
+        raise RecordingError(
+            f"{origin}: is {found}, not a map; valid are keys {', '.join(_KEYS)}"
+        )
+    if unknown := [key for key in content if key not in _KEYS]:
         raise RecordingError(
             f"{origin}: unknown key {str(unknown[0])!r}; valid are {', '.join(_KEYS)}"
         )
@@ -149,12 +156,17 @@ def _mapping(content: Any, origin: str) -> Mapping:
         raise RecordingError(
             f"{origin}: unknown preset {preset!r}; valid are {', '.join(PRESETS)}"
         )
-    if not isinstance(joints, (list, dict, tuple)):
+    named = isinstance(joints, dict)
+    words = joints.values() if named else joints
+    if (
+        not isinstance(joints, (list, dict, tuple))
+        or not all(isinstance(x, (str, int)) for x in words)
+        or (not named and len({*map(str, words)}) < len(joints))
+    ):
         raise RecordingError(
             f"{origin}: joints is {joints!r}; valid are a list of names in the order "
-            "of the columns, or file's name: robot's name"
+            "of the columns, each once, or file's name: robot's name"
         )
-    named = isinstance(joints, dict)
     return Mapping(
         preset,
         joints=() if named else tuple(map(str, joints)),

@@ -2,11 +2,11 @@
 
 import hashlib
 import math
-import os
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from hybrid.cli.shared.screen import Screen
@@ -69,6 +69,7 @@ def whole(text: str) -> int:
     return int(text)
 
 
+_MOST_NUMBERS = 3e7  # 7 GB, as a simulation holds 240 bytes for each
 # Provenance has what is stated to a verb, less what it reads, writes or runs on.
 _NOT_SETTINGS = {
     "verb", "run", "parser", "inputs", "how", "robot", "recordings", "recording",
@@ -150,6 +151,16 @@ def add_number(
     )
 
 
+def check_size(**factors: float) -> None:
+    """Refuse work on more numbers, the product of the factors, than memory holds."""
+    size = math.prod(factors.values())
+    if size > _MOST_NUMBERS:
+        words = " x ".join(f"{name} {x:g}" for name, x in factors.items())
+        raise HybridError(
+            f"{words} are {size:.2g} numbers; valid are up to {_MOST_NUMBERS:.0e}"
+        )
+
+
 def read_logs(
     args: Namespace,
     screen: Screen,
@@ -220,11 +231,13 @@ def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> No
         parent = path.resolve().parent
         while not parent.exists():
             parent = parent.parent
-        if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
+        try:
+            TemporaryFile(dir=parent).close()
+        except OSError as error:
             raise HybridError(
                 f"{path}: cannot be written; {parent} is no folder "
                 "in which files can be made"
-            )
+            ) from error
         if path.resolve() in taken:
             raise HybridError(f"{path}: is {taken[path.resolve()]} as well")
         taken[path.resolve()] = "another output"

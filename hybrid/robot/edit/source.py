@@ -36,15 +36,19 @@ def source(robot: Robot, kind: str) -> Source:
     A xacro file is expanded. MuJoCo converts a URDF file to MJCF, with shapes if it
     finds the meshes. An MJCF file is converted to URDF with the shapes that URDF can
     express. For an arm without a file, the new file has links and joints only.
+
+    Raises:
+        RobotError: The arm's own file is of another arm.
     """
     path = Path(robot.path)
     exists, urdf = path.is_file(), path.suffix.lower() in URDF
-    if exists and (kind == "urdf") == urdf:
-        document = Document.load(path)
-        found = read(document, robot, kind)
+    if exists:
+        document, own_kind = Document.load(path), "urdf" if urdf else "mjcf"
+        found = read(document, robot, own_kind)
         if found.fingerprint() != robot.fingerprint():
             raise RobotError(f"{path}: is of another arm than {robot.name!r}")
-        return Source(document, found, True)
+        if kind == own_kind:
+            return Source(document, found, True)
     text, notes, own = "", tuple[str, ...](), exists
     if exists and urdf:
         text = _converted(robot)
