@@ -22,8 +22,8 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError, RobotError
 from hybrid.exports import export, missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque
-from hybrid.identification.preparation import log_hash
 from hybrid.exports.simulator.simulator import build_simulator
+from hybrid.identification.preparation import log_hash
 from hybrid.plant import install, load_truth, simulate
 from hybrid.plant.joint_fields import split_effects
 from hybrid.plant.lockstep import Lockstep

@@ -69,7 +69,7 @@ def whole(text: str) -> int:
     return int(text)
 
 
-_MOST_NUMBERS = 3e7  # 7 GB, as a simulation holds 240 bytes for each
+_MOST_NUMBERS = 1e8  # 24 GB, as a simulation holds 240 bytes for each
 # Provenance has what is stated to a verb, less what it reads, writes or runs on.
 _NOT_SETTINGS = {
     "verb", "run", "parser", "inputs", "how", "robot", "recordings", "recording",
