@@ -126,15 +126,6 @@ def read_yaml(path: str | Path) -> Any:
     """
     import yaml
 
-    class Loader(yaml.SafeLoader):
-        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-            found: dict[Any, Any] = super().construct_mapping(node, deep)
-            if len(found) < len(node.value):
-                keys = Counter(str(key.value) for key, _ in node.value)
-                key = keys.most_common(1)[0][0]
-                raise ValueError(f"has the key {key!r} twice; valid is once")
-            return found
-
     text, depth = _text(path, _MOST_YAML), 0
     try:
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
@@ -142,9 +133,23 @@ def read_yaml(path: str | Path) -> Any:
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
                 raise ValueError(f"has references, or more than {_DEEPEST} levels")
-        return yaml.load(text, Loader)
+        _check_keys(yaml.compose(text, Loader=yaml.SafeLoader))
+        return yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(" ".join(str(error).split())) from error
+
+
+def _check_keys(node: Any) -> None:
+    """Refuse a YAML node in which a key is there twice."""
+    if node is None or isinstance(node.value, str):
+        return
+    if node.id == "mapping":
+        count = Counter((x.tag, x.value) for x, _ in node.value if x.id == "scalar")
+        if twice := [key for (_, key), n in count.items() if n > 1]:
+            raise ValueError(f"has the key {twice[0]!r} twice; valid is once")
+    for x in node.value:
+        for part in x if isinstance(x, tuple) else (x,):
+            _check_keys(part)
 
 
 def _text(path: str | Path, most: int) -> str:
