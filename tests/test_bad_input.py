@@ -398,7 +398,7 @@ def test_positions_just_outside_the_limits_are_warned_of():
 
 def test_torque_far_above_the_rating_is_warned_of():
     with pytest.warns(HybridWarning, match=r"tau2 \(elbow\) .* of 50\): in milliamps"):
-        check_recording(log(tau=log().tau * [1, 20, 1000]), robot())
+        check_recording(log(tau=log().tau * [1, 40, 1000]), robot())
 
 
 def test_a_dead_position_is_warned_of_and_a_dead_torque_refused():
