@@ -214,7 +214,9 @@ class TestCurves:
             assert joint_curves(planar(), i)["clouds"][0]["order"][0] == name
 
     def test_the_gap_falls_to_its_noise(self):
-        for row in _gap_rows(planar())[0]:
+        said = planar().diagnosis.unseen.after
+        for row, left in zip(_gap_rows(planar())[0], said, strict=True):
+            assert row["after"] == left  # as in the terminal and the JSON
             assert row["noise"] == pytest.approx(row["after"], rel=0.1)
             assert row["today"] > 2 * row["after"]
             assert row["torque"] > row["today"]

@@ -87,10 +87,11 @@ def _gap_rows(result: Result) -> tuple[list[dict[str, Any]], float]:
     second result is the largest relative gap.
     """
     gap, scored, found = result.gap, result.scored, result.diagnosis
+    after = found.unseen.after if found.unseen else [_rms(x) for x in scored.after]
     rows: list[dict[str, Any]] = [
         {
             "today": _rms(gap.left[seen, i]),
-            "after": _rms(scored.after[i]),
+            "after": float(np.nan_to_num(after[i])),  # NaN where it does not move
             "noise": found.noise_floor[i],
             "torque": _rms(gap.measured[seen, i]),
         }
