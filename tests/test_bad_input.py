@@ -479,7 +479,7 @@ def test_real_logs_pass(folder):
             assert checked == recording
     for warning in caught:
         message = str(warning.message)
-        assert "ignored columns: " in message or "torque above 5 times" in message
+        assert "ignored columns: " in message or "torque above 10 times" in message
 
 
 WRONG = {
