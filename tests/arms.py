@@ -23,6 +23,14 @@ def public_arm(name: str) -> Robot:
         return Robot.load(name)
 
 
+def planar_of_xacro(folder: Path) -> Robot:
+    """The planar arm, read from a xacro file in a folder."""
+    text = (MODELS / "planar.urdf").read_text()
+    xacro = text.replace("<robot ", '<robot xmlns:xacro="http://ros.org/xacro" ', 1)
+    (folder / "arm.xacro").write_text(xacro)
+    return Robot.load(folder / "arm.xacro")
+
+
 def random_arm(seed: int) -> Robot:
     """Up to six joints of either kind on oblique axes, some of them intersecting."""
     rng = np.random.default_rng(seed)

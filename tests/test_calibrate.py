@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from arms import MODELS, public_arm, random_arm, random_states
+from arms import MODELS, planar_of_xacro, public_arm, random_arm, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mh6 import steps_from_dh
@@ -399,10 +399,7 @@ def test_the_calibrated_file_reads_back_as_the_calibrated_arm(file, tmp_path):
 
 def test_an_arm_of_a_xacro_file_is_calibrated_as_its_urdf(tmp_path):
     pytest.importorskip("xacro")
-    text = (MODELS / "planar.urdf").read_text()
-    xacro = text.replace("<robot ", '<robot xmlns:xacro="http://ros.org/xacro" ', 1)
-    (tmp_path / "arm.xacro").write_text(xacro)
-    robot = Robot.load(tmp_path / "arm.xacro")
+    robot = planar_of_xacro(tmp_path)
     q = np.random.default_rng(1).uniform(-2, 2, (50, robot.size))
     found = calibrate(robot, measured(disturbed(robot.chain), q, "pose"))
     found.save(tmp_path / "new.urdf")

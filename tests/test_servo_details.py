@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from arms import MODELS
+from arms import planar_of_xacro
 from pendulum import pendulum
 
 from hybrid.dynamics import inverse_dynamics
@@ -770,10 +770,7 @@ def test_a_joint_without_a_servo_gets_one_where_the_file_has_its_actuators(tmp_p
 
 def test_a_xacro_file_becomes_an_mjcf_file_with_the_servos(tmp_path):
     pytest.importorskip("xacro")
-    text = (MODELS / "planar.urdf").read_text()
-    xacro = text.replace("<robot ", '<robot xmlns:xacro="http://ros.org/xacro" ', 1)
-    (tmp_path / "arm.xacro").write_text(xacro)
-    robot = Robot.load(tmp_path / "arm.xacro")
+    robot = planar_of_xacro(tmp_path)
     drive = Drive.declared(robot).at(stiffness=[30.0, 22.0])
     write_servos(robot, drive, tmp_path / "new.xml")
     written = mujoco.MjModel.from_xml_path(str(tmp_path / "new.xml"))
