@@ -469,7 +469,7 @@ def test_a_small_effect_counts_as_shown_where_the_truth_has_evidence():
     rows = [
         row("single", [("coulomb", ["j"], 0.3)], named, shrinkage={"ahead": ahead})
         for ahead, named in (
-            (9.0, []), (11.0, []), (0.0, [Named("coulomb", ("j",), ("coulomb",))]),
+            (6.0, []), (8.0, []), (0.0, [Named("coulomb", ("j",), ("coulomb",))]),
             (-5.0, [Named("viscous", ("j",), ("viscous",))]),
         )
     ]  # fmt: skip

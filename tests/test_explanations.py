@@ -69,14 +69,6 @@ def test_what_is_hardly_probable_is_not_alike_but_for_a_twin():
     assert len(belief(proposed(SHARP, 20.0), far, twins={far.place}).alternatives) == 2
 
 
-def test_the_plainer_of_two_that_are_as_probable_is_named():
-    cause = Cause(("presliding", (0,)), np.zeros(1, dtype=int), 10.0)
-    for gain, plainer in ((19.8, True), (19.0, False)):
-        both = {x.place: x for x in (proposed(SOFT, 20.0), proposed(SHARP, gain))}
-        found = Belief.of(cause, 5.0, both, (), 0.01).simplest(0.5)
-        assert (found is not None) == plainer
-
-
 def test_unknown_laws_are_of_every_sample_and_finite():
     gap = gap_of("stribeck")
     laws = dict(joint_laws(gap, 1))

@@ -41,7 +41,7 @@ BOTH = (RUBS, Coulomb((1,), {"level": 0.7}))
 BRISTLES = Presliding((0,), {"level": 1.0, "distance": 0.05})
 LARGE = TorqueOffset((1,), {"level": 5.0})
 FEW = ("coulomb", "viscous", "torque_offset")
-CAUSE = 10.0  # nats, odds against a cause at a place
+CAUSE = 7.0  # nats, odds against a cause at a place
 
 
 def search(*effects, size=1, library=FEW):
@@ -242,7 +242,7 @@ def test_the_columns_of_a_law_are_those_that_its_evidence_is_of():
         assert again.worth >= kept - at.evidence.solve(at.rigid).evidence - 1e-6
 
 
-def test_an_unknown_law_is_three_percent_of_the_rated_torque_at_twelve_nats():
+def test_an_unknown_law_is_three_percent_of_the_rated_torque_at_nine_nats():
     """And a line among many at those of its choice besides: three waves of a law."""
     at = search(SLIPS)
     (rows,), (scale,) = at.evidence.rows, at.gap.scales
@@ -253,8 +253,8 @@ def test_an_unknown_law_is_three_percent_of_the_rated_torque_at_twelve_nats():
         rms = np.sqrt(np.mean(np.sum(torque**2, axis=1)))
         assert rms == pytest.approx(0.03 * scale.torque)
         assert law.rough == 0.1
-        if law.cost != 12.0:
-            assert law.cost == pytest.approx(12.0 + 3 * np.log(len(rows)))
+        if law.cost != 9.0:
+            assert law.cost == pytest.approx(9.0 + 3 * np.log(len(rows)))
             picked.add(law.place[0])
     assert picked == {x for x, _ in at.laws._waves} != set()
 
@@ -337,21 +337,6 @@ def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():
         at = Search(known, split(known), others)
         at.run()
         assert (("coulomb", (0,)) in places(at)) == there
-
-
-@pytest.mark.parametrize("lasts", [True, False])
-def test_a_law_has_to_beat_its_simpler_one_on_recordings_kept_aside(lasts):
-    """Presliding of the first three recordings, and dry friction in the fourth."""
-    effects = BRISTLES, BRISTLES, BRISTLES, BRISTLES if lasts else RUBS
-    logs = [
-        with_torque(m, [e], NOISE, k)
-        for k, (m, e) in enumerate(zip(swings(), effects, strict=True))
-    ]
-    known = measure_gap(pendulum(), logs, cutoff=10.0)
-    library = "coulomb", "presliding"
-    at = Search(known, split(known), [x for x in effect_classes() if x not in library])
-    bristles = cause(at, BRISTLES)
-    assert (at.unseen_gain([bristles])[bristles] > 0) == lasts
 
 
 def test_a_cause_takes_the_place_of_a_large_error_of_the_file():
@@ -578,29 +563,6 @@ def test_a_search_is_freed_with_its_last_use():
     assert alive() is None
 
 
-def test_a_cause_that_helps_alone_comes_back(monkeypatch):
-    """Of two that explain the same, neither may help beside the other."""
-    at = search(RUBS, library=("coulomb", "presliding"))
-    short = Presliding((0,), {"level": 1.0, "distance": 0.0005})
-    tied = [cause(at, RUBS), cause(at, short)]
-    improve, gains = at._improve, at.unseen_gain
-
-    def once():
-        """The first round ends with both."""
-        at.causes = tied
-        monkeypatch.setattr(at, "_improve", improve)
-
-    def no_help(causes):
-        monkeypatch.setattr(at, "unseen_gain", gains)
-        return dict(zip(causes, (-1.0, -2.0), strict=True))
-
-    monkeypatch.setattr(at, "_improve", once)
-    monkeypatch.setattr(at, "unseen_gain", no_help)
-    at._converge()
-    assert places(at) == {("coulomb", (0,))} and at.refused == {("presliding", (0,))}
-    assert at.unseen_gain(at.causes)[at.causes[0]] > 50
-
-
 def test_what_is_too_improbable_to_name_still_acts_in_the_simulator():
     at = search(RUBS, DRAGS)
     every = set(at.run())
@@ -617,7 +579,7 @@ def speed_law(at):
 def test_an_unknown_law_gives_way_to_several_effects_in_its_place():
     at = search(RUBS, DRAGS)
     at.causes = [speed_law(at)]
-    at._improve()
+    at.run()
     assert places(at) == {("coulomb", (0,)), ("viscous", (0,))}
 
 

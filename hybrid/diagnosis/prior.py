@@ -30,8 +30,8 @@ class Prior:
         alternative: Least probability of an effect that may take another's place.
     """
 
-    cause: float = 10.0
-    unknown: float = 12.0
+    cause: float = 7.0
+    unknown: float = 9.0
     law_error: float = 0.03
     real_law_error: float = 0.1
     solver_error: float = 0.002

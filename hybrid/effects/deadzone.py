@@ -31,7 +31,7 @@ class Deadzone(Effect):
     shapes = (
         # Torque over which a fit smooths the sign.
         Quantity("onset", "N·m", 0.005, 0.0005, 0.3, per=(1, 0), inner=True),
-        # Whether a fit uses the commanded torque.
+        # Whether a fit assumes that torque within the zone is lost.
         Quantity("total", "", 0.0, 0.0, 1.0, whole=True, inner=True),
     )
     equation = "τ_reported = τ_delivered + clip(τ_reported, ±w)"
@@ -40,14 +40,11 @@ class Deadzone(Effect):
     remedy = "Add the dead zone's width to the commanded torque, in its direction."
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Direction of the torque; see :meth:`Effect.columns`.
+        """Direction of the commanded torque; see :meth:`Effect.columns`.
 
-        The delivered torque has a direction unless it is nearly zero whenever the
-        commanded one is small; then the commanded torque is used.
+        Where none is known it is that of the delivered one.
         """
-        torque = motion.tau
-        if self.values["total"] and motion.asked is not None:
-            torque = motion.asked
+        torque = motion.tau if motion.asked is None else motion.asked
         return np.nan_to_num(self._direction(torque[:, self.joints]))[:, :, None]
 
     def holds(self, motions: Sequence[Motion]) -> bool:
@@ -74,7 +71,7 @@ class Deadzone(Effect):
 
     @property
     def least_gains(self) -> Array:
-        """Torque within the zone is lost, if a fit uses the commanded one; (1,)."""
+        """The width, if torque within the zone is lost; shape (1,)."""
         return np.array([_LEAST_LOST * self.values["onset"] * self.values["total"]])
 
     def deliver(self, torque: Array) -> Array:

@@ -67,20 +67,11 @@ class Belief:
         likely = sum(p for x, p in ranked if x.candidate is not None)
         return cls(cause, worth, (*own, *others), float(likely), limit)
 
-    def simplest(self, slack: float) -> Proposal | None:
-        """A simpler effect that is as probable; ``None`` if there is none.
-
-        For a law at its limit it is the law that it has become. A difference of log
-        probability up to the slack, [nat], is ignored.
-        """
-        (own, best), *rest = self.alternatives
-        known = [(x, p) for x, p in rest if x.candidate is not None]
-        for x, _ in known:
-            if x.place == (self.limit, own.place[1]):
-                return x
-        near = [x for x, p in known if p > best * np.exp(-slack)]
-        simple = min(near, key=lambda x: x.parameters, default=own)
-        return simple if simple.parameters < own.parameters else None
+    @property
+    def become(self) -> Cause | None:
+        """The law at its joints that it has become, if that is an alternative."""
+        place = self.limit, self.cause.place[1]
+        return next((x.cause for x, _ in self.alternatives if x.place == place), None)
 
 
 def beliefs(search: Search) -> list[Belief]:

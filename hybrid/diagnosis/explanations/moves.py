@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.proposals import Proposal, Proposals
+from hybrid.diagnosis.explanations.proposals import Proposals
 from hybrid.progress import Progress
 
 LEAST_GAIN = 0.5  # nat, least improvement of the score by a step
@@ -107,9 +107,7 @@ class Moves(Proposals):
                 return True
         if alone > now:
             self.causes = rest
-            return True
-        may_be_several = cause.candidate is None or len(cause.place[1]) > 1
-        return may_be_several and self._exchange_for_several(cause, rest)
+        return bool(alone > now)
 
     def _with_shapes_refitted(self, causes: list[Cause], new: Cause) -> list[Cause]:
         """Some causes and a new one, to which the shapes of its neighbours adapt."""
@@ -121,15 +119,3 @@ class Moves(Proposals):
                 adapted = self.refine(self.columns(rest), c.candidate)[0]
                 found = max(found, [*rest, self.cause(adapted)], key=self.score)
         return found
-
-    def _exchange_for_several(self, cause: Cause, rest: list[Cause]) -> bool:
-        """Exchange a cause for several simpler effects of the library at its joints."""
-        causes, before = list(rest), self.library_only
-        most, self.library_only = Proposal(cause, 0.0).parameters, True
-        while found := self.proposals(causes, at=cause.place[1]):
-            simpler = [x for x in found if x.parameters < most and x.worth > LEAST_GAIN]
-            if not simpler:
-                break
-            causes.append(simpler[0].cause)
-        self.library_only = before
-        return self._take(causes)

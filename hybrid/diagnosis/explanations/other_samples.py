@@ -18,7 +18,6 @@ from hybrid.diagnosis.gap.background import (
     friction_near_rest,
     sampling_delays,
 )
-from hybrid.diagnosis.gap.measure import seconds
 from hybrid.diagnosis.prior import Prior
 
 if TYPE_CHECKING:
@@ -89,13 +88,6 @@ class OtherSamples:
     def residuals(self, causes: Sequence[Cause]) -> list[Array]:
         """Residual of each joint with the gains of the search, [N·m]."""
         return self.evidence.residuals(self.columns(causes), self._gains(causes))
-
-    def second_squares(self, causes: Sequence[Cause]) -> Array:
-        """:meth:`squares` of each second, in units of noise, shape (n, seconds)."""
-        second = seconds(self._search.gap)
-        each = zip(self.residuals(causes), self.evidence.rows, strict=True)
-        sums = [np.bincount(second[x], y**2, second[-1] + 1) for y, x in each]
-        return np.asarray(np.array(sums) / self._search.evidence.noise[:, None])
 
     def tests(self, cause: Cause, causes: Sequence[Cause]) -> bool:
         """Whether one of some causes acts here, and not on the search's samples alone.

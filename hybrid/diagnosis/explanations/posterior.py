@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from hybrid.arrays import Array, Index
-from hybrid.diagnosis.evidence.candidates import Candidate, candidate
+from hybrid.diagnosis.evidence.candidates import Candidate
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
 from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
 from hybrid.diagnosis.evidence.pool import Pool
@@ -35,7 +35,6 @@ from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.gap.measure import unseen_samples
 from hybrid.diagnosis.prior import Prior
-from hybrid.effects import effect_classes
 from hybrid.statistics import robust_std
 
 _RIPPLES = 9  # orders at each joint, in the regression that estimates the noise
@@ -255,68 +254,26 @@ class Posterior:
     def unseen_gain(self, causes: Sequence[Cause]) -> dict[Cause, float]:
         """By how much each cause lowers :meth:`unseen_loss`, [nat].
 
-        The smallest fall of both losses counts, and of the second one with the noise of
-        each second as the explanation leaves it: what is left of an unknown event may
-        be lowered by chance. All other causes are refitted without it, and the simpler
-        law that it becomes may take its place. Nor may its joints be more probable with
-        the simulator as it stands, at the odds of a cause. Of an event that is not on
-        the test samples they say nothing: infinite.
+        The smaller fall of both losses counts. All other causes are refitted without
+        it. Of an event that is not on the test samples they say nothing: infinite.
         """
         if not causes:
             return {}
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
-        after = self.test.second_squares(causes)
-        fall = self.test.evidence.power / self.evidence.noise - after.sum(axis=1)
         for c in causes:
             event = self.explains_its_time(c, causes)
             if event and not self.test.tests(c, causes):
                 gains[c] = np.inf
                 continue
             rest = [x for x in causes if x is not c]
-            others = [rest, *([*rest, x] for x in self._simpler(c, rest))]
-            falls = [
-                (*(self.unseen_loss(x) - whole), self._fall_by_chance(x, after))
-                for x in others
-            ]
-            joints = (
-                c.candidate.effect.reaches(len(fall)) if c.candidate else c.place[1]
-            )
-            here = fall[[*joints]].sum() * self._to_training / 2
-            least = min(min(one, two, two - less) for one, two, less in falls)
-            gains[c] = float(min(least, here + self.prior.cause))
+            gains[c] = float(np.min(self.unseen_loss(rest) - whole))
         return gains
-
-    def _fall_by_chance(self, rest: Sequence[Cause], after: Array) -> float:
-        """Fall of the second loss from some causes to more, where these leave much.
-
-        Args:
-            rest: The fewer causes.
-            after: Squares that more causes leave, see :meth:`.second_squares`.
-
-        Returns:
-            The fall, [nat].
-        """
-        before = self.test.second_squares(rest)
-        usual = np.array([np.median(x[x > 0]) if x.any() else 1.0 for x in after])
-        unusual = 1.0 - 1.0 / np.maximum(after / usual[:, None], 1.0)
-        return float(np.sum(unusual * (before - after)) * self._to_training / 2)
 
     @property
     def _to_training(self) -> float:
         """Number of training samples over that of test samples."""
         unseen = max(self.test.evidence.count.sum(), 1)
         return float(self.evidence.count.sum() / unseen)
-
-    def _simpler(self, c: Cause, rest: Sequence[Cause]) -> list[Cause]:
-        """The simpler law that a cause becomes, unless it is among the rest."""
-        becomes = c.candidate.effect.becomes if c.candidate else None
-        if not becomes or not becomes[2] or becomes[2] in self.pool.without:
-            return []
-        place = becomes[2], c.place[1]
-        if any(x.place == place for x in rest):
-            return []
-        effect = effect_classes()[place[0]](place[1])
-        return [self.cause(candidate(self.gap, effect))]
 
     @cached_property
     def test(self) -> OtherSamples:

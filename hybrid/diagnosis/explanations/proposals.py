@@ -1,7 +1,7 @@
 """Causes that may be added to an explanation, with their gain in score."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,14 +35,6 @@ class Proposal:
         """The effect with its shapes; ``None`` for an unknown law."""
         return self.cause.candidate
 
-    @property
-    def parameters(self) -> float:
-        """Number of its parameters; infinite for an unknown law."""
-        if self.candidate is None:
-            return np.inf
-        effect = self.candidate.effect
-        return len(effect.gains) + len(effect.shapes)
-
 
 class Proposals(Posterior):
     """A posterior that proposes causes.
@@ -59,12 +51,10 @@ class Proposals(Posterior):
         self,
         causes: Sequence[Cause],
         own: Cause | None = None,
-        at: Collection[int] | None = None,
     ) -> list[Proposal]:
         """Causes that may be added to some causes, or replace ``own``, best first.
 
-        Twins of ``own`` are among them however little evidence they have. ``at`` are
-        joints, at one of which they act; all by default.
+        Twins of ``own`` are among them however little evidence they have.
         """
         whole, rest = self.columns(causes), [c for c in causes if c is not own]
         base, found = self.columns(rest), list[Proposal]()
@@ -74,7 +64,6 @@ class Proposals(Posterior):
         ranked = [
             (c, x) for c, x in ranked
             if c.place not in self.refused
-            and (at is None or {*c.place[1]} & {*at})
             and not any(c.effect.excludes(k) for k in there)
         ]  # fmt: skip
         rough = {c.place[1][-1]: 0.0 for c, _ in ranked}

@@ -99,7 +99,7 @@ class Search(Moves):
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._restart()
         self.beliefs = beliefs(self)
-        while self._simplify() or self._replace_improbable():
+        while self._replace_limits() or self._replace_improbable():
             self.beliefs = beliefs(self)
         self.whole = list(self.causes)
         return self.causes
@@ -136,7 +136,7 @@ class Search(Moves):
         in place of two or three other effects. What the new one gains in score has to
         be more than what it loses in held-out loss.
         """
-        before = self.causes, self.file_error
+        before, refused = (self.causes, self.file_error), self.refused
         self.causes, self.refused = self._with_usual([]), frozenset()
         self._fit_file_error()
         self.update_noise(self.causes)
@@ -146,7 +146,7 @@ class Search(Moves):
         now, loss = self._judged(self.causes, self.file_error)
         then, lost = self._judged(*before)
         if then > now or np.any(lost - then < loss - now):
-            self.causes = before[0]
+            self.causes, self.refused = before[0], refused
             self.set_file_error(before[1])
         self.evidence.scale_prior(self.numbers, self.file_error)
 
@@ -192,12 +192,7 @@ class Search(Moves):
             if not (bad or self._reset_file_error() or self.update_noise(self.causes)):
                 break
             self.causes = [c for c in self.causes if c not in bad]
-            bad.sort(key=lambda c: gains[c])
-            # Of two that explain the same, neither helps beside the other: all but the
-            # worst may come back if they help alone.
-            loss, rest = self.unseen_loss(self.causes), self.causes
-            alone = {c for c in bad[1:] if np.all(self.unseen_loss([*rest, c]) < loss)}
-            self.refused |= {c.place for c in bad if c not in alone}
+            self.refused |= {c.place for c in bad}
 
     def _improve(self) -> None:
         for _ in range(_ROUNDS):
@@ -278,14 +273,14 @@ class Search(Moves):
             self.set_file_error(typical)
         return not helps
 
-    def _simplify(self) -> bool:
-        """Exchange causes for simpler ones that are as probable; whether there are."""
+    def _replace_limits(self) -> bool:
+        """Exchange causes for the laws that they have become; whether there are any."""
         before = list(self.causes)
         for belief in self.beliefs:
-            simple = belief.simplest(LEAST_GAIN)
+            law = belief.become
             # Two causes may become the same law.
-            if simple is not None and simple.cause not in self.causes:
-                self.causes[self.causes.index(belief.cause)] = simple.cause
+            if law is not None and law not in self.causes:
+                self.causes[self.causes.index(belief.cause)] = law
         return self.causes != before
 
     def _replace_improbable(self) -> bool:
