@@ -1,5 +1,6 @@
 """Advice by its parts, on pendulums without geometry: each takes no time to check."""
 
+import sys
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -9,7 +10,6 @@ import pytest
 from pendulum import gap_of, pendulum
 
 from hybrid.diagnosis.advice import menu as menu_module
-from hybrid.diagnosis.advice import separation
 from hybrid.diagnosis.advice.advise import (
     Discriminations,
     Plan,
@@ -29,21 +29,25 @@ from hybrid.diagnosis.advice.menu import (
 )
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
-    WhitenedColumns,
     decimated,
     fit_rival,
+    joined,
     required_evidence,
     tried_shapes,
 )
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.evidence.shapes import shape_derivatives
 from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.gap.background import (
+    background,
+    friction_near_rest,
+    sampling_delays,
+)
 from hybrid.diagnosis.gap.measure import split
 from hybrid.dynamics import simulated_torque
 from hybrid.effects import effect_classes
 from hybrid.effects.coulomb import Coulomb
-from hybrid.effects.delay import Delay
-from hybrid.effects.encoder_eccentricity import EncoderEccentricity
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
@@ -275,7 +279,7 @@ def test_a_gap_along_a_motion_leaves_out_its_ends_and_where_it_stands():
     known = replace(gap_of(size=2, noise=0.0), cutoff=10.0)
     ahead = gap_along(known, Experiment("x", path(6.0, 100.0, size=2)))
     (motion,) = ahead.motions
-    assert ahead.cutoff == 10.0 and motion.rate == pytest.approx(50.0)
+    assert ahead.cutoff == 10.0 and motion.rate == pytest.approx(100.0)
     inner = (motion.t > 0.2 - 1e-9) & (motion.t < motion.t[-1] - 0.2 + 1e-9)
     np.testing.assert_array_equal(motion.mask, inner)
     tau = simulated_torque(known.robot, motion, ahead.bodies[0])
@@ -290,16 +294,20 @@ def test_a_gap_along_a_motion_leaves_out_its_ends_and_where_it_stands():
     assert motion.temperature is None
 
 
-def test_a_gap_along_a_motion_has_thirty_hertz_at_most_and_five_samples_a_period():
-    known = gap_of(noise=0.0)
-    for cutoff, rate, kept in (
-        (40.0, 1000.0, 1000 / 6), (30.0, 1000.0, 1000 / 6), (20.0, 1000.0, 100.0),
-        (20.0, 99.0, 99.0),
-    ):  # fmt: skip
-        reference = path(6.0, rate)
-        ahead = gap_along(replace(known, cutoff=cutoff), Experiment("x", reference))
-        assert ahead.cutoff == min(cutoff, 30.0)
-        assert ahead.motions[0].rate == pytest.approx(kept, rel=1e-3)
+@pytest.mark.parametrize("rate", [1000.0, 99.0, 20.0])
+def test_a_gap_along_a_motion_has_as_many_samples_a_second_as_the_recordings(rate):
+    known, t = gap_of(noise=0.0), np.linspace(0.0, 6.0, round(6 * rate) + 1)
+    q, v, a = np.sin(t), np.cos(t), -np.sin(t)
+    reference = Reference(t, *(x[:, None] for x in (q, v, a)))
+    ahead = gap_along(known, Experiment("x", reference))
+    assert ahead.cutoff == known.cutoff and ahead.period == known.period
+    (motion,), rate = ahead.motions, known.motions[0].rate
+    assert ahead.rate == pytest.approx(known.rate)
+    assert motion.rate == pytest.approx(rate) and rate > known.rate
+    assert 6.0 - 1.01 / rate < motion.t[-1] <= 6.0
+    for seen, true in ((motion.q, np.sin), (motion.v, np.cos)):
+        np.testing.assert_allclose(seen[:, 0], true(motion.t), atol=1e-5)
+    np.testing.assert_allclose(motion.a[:, 0], -np.sin(motion.t), atol=1e-3)
 
 
 def test_warm_drives_are_twenty_kelvin_above_the_log_and_cold_ones_as_at_its_start():
@@ -315,46 +323,6 @@ def test_warm_drives_are_twenty_kelvin_above_the_log_and_cold_ones_as_at_its_sta
         assert ahead.motions[0].temperature.shape == ahead.motions[0].q.shape
 
 
-# --- columns in units of noise --------------------------------------------------------
-
-
-def test_columns_are_of_the_samples_that_move_in_units_of_noise():
-    gap = gap_of(Viscous((0,), {"coefficient": 0.5}), size=2)
-    view = WhitenedColumns(gap, np.array([4.0, 0.25]))
-    for i in range(2):
-        assert view.rows[i].tolist() == np.flatnonzero(gap.moving[:, i]).tolist()
-        unit = (0.5, 2.0)[i]
-        np.testing.assert_allclose(view.residual[i], unit * gap.left[view.rows[i], i])
-        drag = Viscous((i,))
-        own = gap.columns(drag)[i][view.rows[i]]
-        found = view.columns(drag)
-        assert set(found) == {i}
-        np.testing.assert_allclose(found[i], unit * own)
-    some = [np.array([3, 5]), np.array([7])]
-    few = WhitenedColumns(gap, np.ones(2), some)
-    assert [len(x) for x in few.residual] == [2, 1]
-    kept = candidate(gap, Viscous((0,)))
-    assert few.cached(kept) is few.cached(kept)
-
-
-def test_columns_are_stacked_at_each_joint_with_zeros_where_they_do_not_reach():
-    view = WhitenedColumns(gap_of(size=2), np.ones(2), [np.arange(3), np.arange(2)])
-    one, two = {0: np.full((3, 2), 1.0)}, {0: np.full((3, 1), 2.0), 1: np.ones((2, 1))}
-    first, second = view.stack([one, two])
-    np.testing.assert_array_equal(first, [[1.0, 1.0, 2.0]] * 3)
-    np.testing.assert_array_equal(second, [[0.0, 0.0, 1.0]] * 2)
-
-
-def test_shapes_have_columns_of_their_own_and_the_background_has_three_parts():
-    gap = gap_of(size=2)
-    view = WhitenedColumns(gap, np.ones(2))
-    wave = TorqueRipple((0,), {"sine": 1.0, "cosine": 0.0, "periods": 3.0})
-    assert len(view.with_shapes(wave)) == 2  # a whole number has no derivative
-    assert len(view.with_shapes(Coulomb((0,)))) == 1
-    # Two links and two rotors, friction at two joints, and two delays.
-    assert len(view.background) == 2 + 2 + 2 + 2
-
-
 def test_decimated_motions_keep_the_samples_of_the_gap():
     gap = gap_of(size=2)
     few = decimated(gap)
@@ -364,33 +332,73 @@ def test_decimated_motions_keep_the_samples_of_the_gap():
     assert [len(b.load) for b in few.bodies] == [len(m.t) for m in few.motions]
 
 
+def test_joined_gaps_have_the_columns_of_both():
+    one = gap_of(Viscous((0,), {"coefficient": 0.5}), size=2)
+    other = gap_along(one, Experiment("x", path(6.0, 100.0, size=2)))
+    whole = joined(one, other)
+    assert (whole.rate, whole.cutoff) == (one.rate, one.cutoff)
+    for name in ("left", "moving", "fold"):
+        both = np.concatenate([getattr(x, name) for x in (one, other)])
+        np.testing.assert_array_equal(getattr(whole, name), both)
+    assert np.unique(whole.trajectory).tolist() == [0, 1, 2, 3, 4]
+    for effect in (Coulomb((1,)), TorqueGain((0,), {"gain": 0.1})):
+        ((j, found),) = whole.columns(effect).items()
+        both = np.concatenate([x.columns(effect)[j] for x in (one, other)])
+        np.testing.assert_allclose(found, both, atol=1e-9)
+
+
 # --- separation -----------------------------------------------------------------------
 
 
-class Lines:
-    """A rival with a single column, and its gain and precision."""
-
-    def __init__(self, column, gain, precision):
-        self.gains, self.precision = np.array([gain]), np.array([[precision]])
-        self.column = np.asarray(column, dtype=float)[:, None]
-
-    def stack(self, motions):
-        return [motions * self.column]
+def two_laws(*kept):
+    """A search whose causes are dry friction and an offset, and its two terms."""
+    true = Coulomb((0,), {"level": 1.0}), TorqueOffset((0,), {"level": -1.0})
+    gap, kept = gap_of(*true), {x.id for x in (*true, *kept)}
+    found = Search(gap, split(gap), [x for x in effect_classes() if x not in kept])
+    found.causes = [found.cause(candidate(gap, x)) for x in true]
+    return found, found.terms
 
 
 def test_rivals_are_apart_by_what_the_other_cannot_make_good():
-    """Columns at a right angle: nothing is, but by a gain that is not certain."""
-    first = Lines([3.0, 0.0], 2.0, 1.0)
-    second = Lines([0.0, 4.0], 1.0, 9.0)
-    view = Discrimination([], None, 1.0)
-    # The difference (6, −4), less (18²/10) or (16²/25) that a new gain takes.
-    expected = np.sqrt(52.0 - max(18.0**2 / 10.0, 16.0**2 / 25.0))
-    assert view.separation(first, second) == pytest.approx(expected)
-    assert view.separation(second, first) == pytest.approx(expected)
-    doubled = Discrimination([], None, 2.0).separation(first, second)
-    rest = 4 * 52.0 - max((4 * 18.0) ** 2 / 37.0, (4 * 16.0) ** 2 / 73.0)
-    assert doubled == pytest.approx(np.sqrt(rest))
-    assert view.separation(first, Lines([3.0, 0.0], 2.0, 1.0)) == 0.0
+    """The same as by all columns along the motion, written out."""
+    search, (term, offset) = two_laws(Viscous, Stribeck)
+    ahead = gap_along(search.gap, Experiment("x", path()))
+    (rows,), noise = map(np.flatnonzero, ahead.moving.T), search.evidence.noise[0]
+    blocks = [b for f in (background, friction_near_rest, sampling_delays)
+              for b in f(ahead)[0]]  # fmt: skip
+    blocks.append(ahead.columns(offset.candidate.effect))
+    law, slow = Viscous((0,)), Stribeck((0,), {"velocity": 0.3})
+    rivals, made = [], []
+    for effect in (law, slow):
+        rival = fit_rival(search, term, candidate(search.gap, effect))
+        own = [ahead.columns(effect), *shape_derivatives(ahead, rival.effect)]
+        X = np.hstack([x[0][rows] for x in (*blocks, *own)]) / np.sqrt(noise)
+        rivals.append(rival)
+        made.append((X, X @ rival.gains, rival.precision))
+    difference, left = made[0][1] - made[1][1], []
+    for X, _, precision in made:
+        b = X.T @ difference
+        left.append(
+            difference @ difference - b @ np.linalg.solve(X.T @ X + precision, b)
+        )
+    view = Discrimination(search, ahead, None)
+    apart = view.separation(*rivals)
+    assert apart == pytest.approx(np.sqrt(min(left))) and apart > 1.0
+    assert view.separation(*rivals[::-1]) == pytest.approx(apart)
+    assert view.separation(rivals[0], rivals[0]) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_motion_says_more_together_with_the_recordings_than_alone():
+    search, (term, _) = two_laws(Viscous)
+    ahead = gap_along(search.gap, Experiment("x", path()))
+    rivals = [
+        fit_rival(search, term, candidate(search.gap, x((0,))))
+        for x in (Coulomb, Viscous)
+    ]
+    alone, both = (
+        Discrimination(search, ahead, x).contrast(*rivals) for x in (None, search.gap)
+    )
+    assert 1.0 < alone[0] < both[0] and 1.0 < alone[1]
 
 
 @pytest.mark.parametrize(
@@ -398,12 +406,8 @@ def test_rivals_are_apart_by_what_the_other_cannot_make_good():
     [(Coulomb((0,)), 0.0), (Stribeck((0,), {"velocity": 0.3}), 4.0)],
 )
 def test_a_rival_has_the_evidence_of_its_effect_beside_all_others(effect, cost):
-    true = Coulomb((0,), {"level": 1.0}), TorqueOffset((0,), {"level": -1.0})
-    gap = gap_of(*true)
-    kept = {x.id for x in (*true, Viscous((0,)))}
-    at = Search(gap, split(gap), [x for x in effect_classes() if x not in kept])
-    at.causes = [at.cause(candidate(gap, x)) for x in true]
-    term, other = at.terms
+    at, (term, other) = two_laws(Viscous)
+    gap = at.gap
     found = fit_rival(at, term, candidate(gap, effect))
     base = np.concatenate([at.rigid, other.index])
     (own,) = at.evidence.add([gap.columns(effect)], [candidate(gap, effect).std])
@@ -437,37 +441,6 @@ def test_long_waves_are_tried_besides_those_that_a_search_tried():
     assert found[:2] == [plain, wave] and len(found) == 8
     assert [c.effect.values["periods"] for c in found[2:]] == [1, 2, 3, 4, 5, 6]
     assert all(c.std is wave.std for c in found[2:])
-
-
-@pytest.mark.parametrize(
-    ("effect", "moves"),
-    [
-        (TorqueGain((0,), {"gain": 0.1}), True),
-        (Delay((0,)), True),
-        (Delay((0,), {"time": 0.01}), False),
-        (Coulomb((0,)), False),
-        (EncoderEccentricity((0,)), False),
-    ],
-)
-def test_one_gain_is_iterated_where_the_torque_is_linear_near_it_only(
-    effect, moves, monkeypatch
-):
-    """A time that is known already was scanned, and two gains are fitted as they are.
-
-    The evidence is made up: each time it asks for a larger gain and counts one more.
-    """
-    seen = []
-
-    def evidence(data, c):
-        seen.append(c.effect)
-        return float(len(seen)), np.array([1e-4 * len(seen)])
-
-    monkeypatch.setattr(separation, "fit_shapes", lambda start, *_: (start, 0.0))
-    view = Discrimination([], None, SimpleNamespace(gap=gap_of()))
-    monkeypatch.setattr(view, "_evidence_at", evidence)
-    found = view._best_evidence(None, candidate(gap_of(), effect))
-    assert found == len(seen) == (5 if moves else 1)
-    assert (len({tuple(x.values.values()) for x in seen}) > 2) == moves
 
 
 # --- the choice -----------------------------------------------------------------------
@@ -569,24 +542,24 @@ def test_warm_drives_are_for_laws_that_warm():
             Experiment("gains", path(), gains=True),
         ]
     )  # fmt: skip
-    search = SimpleNamespace(
-        pool=SimpleNamespace(tried=[]),
-        evidence=SimpleNamespace(noise=np.ones(1), rows=None),
-    )
-    gap = gap_of()
-    made = Discriminations(
-        SimpleNamespace(scored=SimpleNamespace(gap=gap), search=search), menu
-    )
+    search = SimpleNamespace(gap=gap_of())
+    made = Discriminations(SimpleNamespace(search=search), menu)
     assert [x.name for x in made.about(0, warm=False)] == ["cold"]
     assert [x.name for x in made.about(0, warm=True)] == ["cold", "warm"]
-    (cold,) = made.about(0, warm=False)
-    assert made[cold] is made[cold] and len(made[cold]._parts) == 2
-    # Independent samples are as many as the band asks for, whatever the rate.
-    there = made[cold]._ahead
-    share = there.gap.rate / gap.rate
-    np.testing.assert_allclose(there._unit, share**-0.5)
-    heavy = Experiment("heavy", path(), mass=0.5)
-    assert len(made[heavy]._parts) == 1  # it is diagnosed alone
+
+
+def test_what_a_payload_is_carried_on_is_diagnosed_alone(monkeypatch):
+    search = SimpleNamespace(gap=gap_of())
+    module = sys.modules[Discriminations.__module__]
+    monkeypatch.setattr(module, "Discrimination", lambda *given: given)
+    made = Discriminations(SimpleNamespace(search=search), None)
+    plain, heavy = Experiment("cold", path()), Experiment("heavy", path(), mass=0.5)
+    assert made[plain] is made[plain]  # made once
+    for experiment, alone in ((plain, False), (heavy, True)):
+        found, ahead, recorded = made[experiment]
+        assert found is search and (recorded is None) == alone
+        assert ahead.rate == pytest.approx(search.gap.rate)
+    assert len(made[plain][2].motions[0].t) < len(search.gap.motions[0].t)
 
 
 def test_effects_at_two_joints_are_named_with_their_joints():

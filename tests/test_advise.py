@@ -13,18 +13,17 @@ from hybrid.diagnosis.advice.advise import advise, choose
 from hybrid.diagnosis.advice.menu import Experiment, Menu, concatenated, gap_along
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
-    WhitenedColumns,
+    Outlook,
     decimated,
     fit_rival,
+    joined,
     required_evidence,
-    tried_shapes,
 )
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.candidates import candidates
 from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.explanations.search import Search
-from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import effect_classes
 from hybrid.plant import Plant, random_fourier
 from hybrid.plant.reference import Reference
@@ -108,11 +107,9 @@ def fast(result, seed=0):
     return path, gap_along(result.gap, Experiment("a fast motion", path))
 
 
-def outlook(result, ahead, scale=1.0):
+def outlook(result, ahead):
     """What the recordings of a result and a motion would say together."""
-    search, noise = result.search, scale * result.search.evidence.noise
-    recorded = WhitenedColumns(result.gap, noise, search.evidence.rows)
-    return Discrimination(tried_shapes(search), recorded, WhitenedColumns(ahead, noise))
+    return Discrimination(result.search, ahead, result.gap)
 
 
 def test_separation_knows_no_order_and_none_from_itself():
@@ -126,13 +123,15 @@ def test_separation_knows_no_order_and_none_from_itself():
     assert view.contrast(second, first) == pytest.approx(told[::-1])
 
 
-def test_separation_is_in_units_of_noise_and_grows_with_time():
+def test_separation_is_in_units_of_noise_and_grows_with_time(monkeypatch):
     result, first, second = pair()
     path, ahead = fast(result)
     once = outlook(result, ahead).separation(first, second)
-    assert outlook(result, ahead, scale=4.0).separation(first, second) < once
     twice = gap_along(result.gap, Experiment("twice", concatenated([path, path])))
     assert once < outlook(result, twice).separation(first, second) < 1.5 * once
+    evidence = result.search.evidence
+    monkeypatch.setattr(evidence, "noise", 4.0 * evidence.noise)
+    assert outlook(result, ahead).separation(first, second) < once
 
 
 @pytest.fixture
@@ -147,24 +146,12 @@ def white():
 def test_what_is_told_is_what_a_search_on_all_data_would_find(white):
     """The recordings with one explanation's torque appended, fitted from scratch."""
     result, first, second = pair()
-    search, ahead = result.search, replace(fast(result)[1], cutoff=result.gap.cutoff)
+    search, ahead = result.search, fast(result)[1]
     told = outlook(result, ahead).contrast(first, second)
-    moved = WhitenedColumns(ahead, search.evidence.noise)
-    new = np.zeros_like(ahead.left)
-    stacked = first.stack(moved)
-    for i, rows in enumerate(moved.rows):
-        new[rows, i] = stacked[i] @ first.gains * np.sqrt(search.evidence.noise[i])
-    gap, old = result.gap, np.zeros(len(result.gap.fold), dtype=bool)
-    for rows in search.evidence.rows:
-        old[rows] = True
-    both = Gap(
-        gap.robot, (*gap.motions, *ahead.motions), (*gap.bodies, *ahead.bodies),
-        gap.cutoff, gap.period, np.concatenate([gap.left, new]),
-        np.concatenate([gap.moving, ahead.moving]),
-        np.concatenate([gap.fold, ahead.fold]),
-        np.concatenate([gap.trajectory, ahead.trajectory + gap.trajectory.max() + 1]),
-    )  # fmt: skip
-    fresh = Search(both, np.append(old, np.ones(len(new), dtype=bool)))
+    new = Outlook(ahead, search.evidence.noise).torque(first)
+    both = joined(result.gap, replace(ahead, left=new))
+    use = np.append(search.learn, np.ones(len(new), dtype=bool))
+    fresh = Search(both, use)
     fresh.evidence.set_covariances(search.evidence.noise[:, None])
     fresh.evidence.precision[fresh.rigid] = search.evidence.precision[search.rigid]
     best = gain(fresh.evidence, fresh.base(), first.candidate)

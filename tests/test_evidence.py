@@ -102,6 +102,35 @@ def test_screening_and_trying_add_what_solving_both_says():
     np.testing.assert_allclose(gains, whole[-len(gains) :])
 
 
+@pytest.mark.parametrize("white", [True, False])
+def test_another_gap_beside_the_same_columns_is_solved_as_from_the_start(white):
+    gap, blocks, std, evidence, index = problem(2)
+    base, own = np.concatenate(index[:-1]), index[-1]
+    gap.trajectory = np.zeros(M, dtype=int)
+    coloured = [] if white else [np.array([x, 0.4 * x]) for x in evidence.noise]
+    lower = np.full(len(own), -np.inf)
+
+    def told(found):
+        tried = found.trial(base, blocks[-1], std[-1], lower)
+        screened = found.screen(base, [own], [lower])
+        return [*found.solve(base).gains, tried.worth, *tried.gains, *screened]
+
+    if coloured:
+        evidence.set_covariances(coloured)
+    first, before = gap.left, told(evidence)
+    gap.left = np.random.default_rng(5).standard_normal(gap.left.shape)
+    evidence.set_left(gap.left)
+    fresh = Evidence(gap)
+    fresh.noise = evidence.noise
+    fresh.add(blocks, std)
+    if coloured:
+        fresh.set_covariances(coloured)
+    np.testing.assert_allclose(told(evidence), told(fresh))
+    np.testing.assert_allclose(evidence.power, fresh.power)
+    evidence.set_left(first)
+    np.testing.assert_allclose(told(evidence), before)
+
+
 def test_squares_are_those_of_the_residual():
     _, _, _, evidence, index = problem(2)
     found = evidence.solve(np.concatenate(index))

@@ -12,11 +12,9 @@ from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
     Rival,
-    WhitenedColumns,
     decimated,
     fit_rival,
     required_evidence,
-    tried_shapes,
 )
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.answer.result import Result
@@ -101,11 +99,8 @@ class Discriminations:
     """The discrimination of each experiment of a menu, made on demand."""
 
     def __init__(self, result: Result, menu: Menu) -> None:
-        self._gap, self._menu = result.scored.gap, menu
-        self._tried = tried_shapes(result.search)
-        self._noise = result.search.evidence.noise
-        rows = result.search.evidence.rows
-        self._recorded = WhitenedColumns(decimated(self._gap), self._noise, rows)
+        self._search, self._menu = result.search, menu
+        self._recorded = decimated(result.search.gap)
         self._known: dict[Experiment, Discrimination] = {}
 
     def about(self, joint: int, *, warm: bool) -> list[Experiment]:
@@ -115,12 +110,10 @@ class Discriminations:
 
     def __getitem__(self, experiment: Experiment) -> Discrimination:
         if experiment not in self._known:
-            gap = gap_along(self._gap, experiment)
-            # The noise is that of independent samples, which have another rate here.
-            ahead = WhitenedColumns(gap, self._noise * gap.rate / self._gap.rate)
-            self._known[experiment] = Discrimination(
-                self._tried, self._recorded, ahead, alone=experiment.mass > 0
-            )
+            ahead = gap_along(self._search.gap, experiment)
+            recorded = self._recorded if experiment.mass == 0 else None
+            found = Discrimination(self._search, ahead, recorded)
+            self._known[experiment] = found
         return self._known[experiment]
 
 

@@ -33,8 +33,6 @@ from hybrid.signals import Motion, Sampler
 _SAME_POSTURE = 0.01  # rad or m
 _TRIES = 12
 _EDGE = 0.2  # s, at both ends of a motion: transient of the filter
-_CUTOFF = 30.0  # Hz, highest; experiments are slower
-_SAMPLES = 5.0  # per period of the cut-off
 _POSES, _FEWEST_POSES, _DRAWS = 8, 4, 60
 _CHECK_RATE = 50.0  # Hz, of moves that are only checked
 _SMALLER = 0.85  # amplitude of a try over that of the last
@@ -299,30 +297,31 @@ def with_payload(robot: Robot, mass: float) -> Robot:
 def gap_along(gap: Gap, experiment: Experiment) -> Gap:
     """A gap of zero along an experiment, to compute columns of effects there.
 
-    The arm is assumed to follow it exactly; ``gap`` is a measured one.
+    The arm is assumed to follow it exactly. It has the clock, the cut-off and the rate
+    of ``gap``, a measured one, so that noise has the same meaning.
     """
-    cutoff = min(gap.cutoff, _CUTOFF)
     r, robot = experiment.reference, experiment.arm(gap.robot)
-    step = max(1, int(r.rate / (_SAMPLES * cutoff)))
-    q, v, a = (x[::step] for x in (r.q, r.v, r.a))
-    edge, mask = round(_EDGE * r.rate / step), np.zeros(len(q), dtype=bool)
+    rate = gap.motions[0].rate
+    t = np.arange(0.0, r.t[-1], 1.0 / rate)
+    q, v = r.at(t)
+    a = np.column_stack([np.interp(t, r.t, x) for x in r.a.T])
+    edge, mask = round(_EDGE * rate), np.zeros(len(t), dtype=bool)
     mask[edge:-edge] = True
     temperature, logged = None, gap.sampled.temperature
     if logged is not None:
         warm = logged.max(axis=0) + _WARM_RISE
         level = warm if experiment.start else logged.min(axis=0)
         temperature = np.broadcast_to(level, q.shape).copy()
-    t = experiment.start + r.t[::step]
+    t = experiment.start + t
     motion = Motion(t, q, v, a, 0 * q, mask, temperature, robot.joints)
     body = RigidBody(robot.chain, motion)
     motion = replace(motion, tau=simulated_torque(robot, motion, body))
-    sampler = Sampler.for_rate(motion.rate, cutoff)
-    v = v[:: sampler.factor]
-    moving = np.abs(v) > STANDING * np.abs(gap.sampled.v).max(axis=0)
-    moving &= sampler.keep(mask)[:, None]
-    zero, left = np.zeros(len(v), dtype=np.intp), np.zeros_like(v)
-    period = 1.0 / motion.rate
-    return Gap(robot, (motion,), (body,), cutoff, period, left, moving, zero, zero)
+    keep = Sampler.for_rate(rate, gap.cutoff).keep
+    moving = np.abs(keep(v)) > STANDING * np.abs(gap.sampled.v).max(axis=0)
+    moving &= keep(mask)[:, None]
+    zero, left = np.zeros(len(moving), dtype=np.intp), np.zeros(moving.shape)
+    return Gap(robot, (motion,), (body,), gap.cutoff, gap.period, left, moving,
+               zero, zero)  # fmt: skip
 
 
 def concatenated(references: Sequence[Reference]) -> Reference:

@@ -122,6 +122,15 @@ class Evidence(Products):
     def set_covariances(self, covariances: Sequence[Array]) -> None:
         """See :meth:`.Products.set_covariances`."""
         super().set_covariances(covariances)
+        self._forget()
+
+    def set_left(self, left: Array) -> None:
+        """See :meth:`.Products.set_left`."""
+        super().set_left(left)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget what was worked out with another gap or other noise."""
         self._screened.clear()
         self._factored = b"", *self._factored[1:]
 

@@ -40,6 +40,11 @@ class JointProducts:
         self._base = np.zeros((0, len(self.left)))  # weighted columns, with room
         self._across = np.zeros((0, 0))
 
+    def set_left(self, left: Array) -> None:
+        """Set another gap, shape (R,), [N·m]."""
+        self.left, self._weighted_left = left, self._weighted(left)
+        self._moment = self._memory[: len(self._moment)] @ self._weighted_left
+
     def whiten(self, x: Array) -> Array:
         """Whitened samples, shape (R, ...)."""
         return x if self._noise is None else self._noise.whiten(x)

@@ -88,6 +88,12 @@ class Products:
             joint.set_noise(process)
         self._processes = processes
 
+    def set_left(self, left: Array) -> None:
+        """Set another gap, shape (M, n), [N·m]; the columns stay."""
+        self.left = [left[r, i] for i, r in enumerate(self.rows)]
+        for joint, own in zip(self._joints, self.left, strict=True):
+            joint.set_left(own)
+
     def _weight(self, i: int) -> float:
         """Weight of a product: inverse noise variance before processes are set."""
         return 1.0 if self._processes is not None else float(1.0 / self.noise[i])
