@@ -54,20 +54,21 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
     tau, _ = program.run(q, v, a)
     units = robot.chain.units("N·m")
     example = {
-        name: [c_number(float(x), p.upper()) for x in values[0]]
-        for name, values in (("q", q), ("v", v), ("a", a))
+        name: [c_number(float(y), p.upper()) for y in x[0]]
+        for name, x in (("q", q), ("v", v), ("a", a))
     } | {
         "tau": [repr(float(x)) for x in tau[0]],
         "unit": [f'"{x.replace("·", " ")}"' for x in units],
     }
-    names = {"p": p, "P": p.upper(), "n": robot.size}
-    for file, template, content in (
-        (f"{p}.h", "arm.h", _header(program, robot, digest)),
-        ("example.c", "example.c", example),
-        ("CMakeLists.txt", "CMakeLists.txt", {}),
-    ):
-        text = render_template(TEMPLATES / f"{template}.j2", **names, **content)
-        (folder / file).write_text(text, encoding="utf-8")
+    marks = {"p": p, "P": p.upper(), "n": robot.size}
+    content: dict[str, dict[str, Any]] = {
+        "arm.h": _header(program, robot, digest),
+        "example.c": example,
+        "CMakeLists.txt": {},
+    }
+    for name, values in content.items():
+        text = render_template(TEMPLATES / f"{name}.j2", **marks, **values)
+        (folder / name.replace("arm", p)).write_text(text, encoding="utf-8")
 
 
 def _header(program: Program, robot: Robot, digest: str) -> dict[str, Any]:
