@@ -60,7 +60,7 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
         "tau": [repr(float(x)) for x in tau[0]],
         "unit": [f'"{x.replace("·", " ")}"' for x in units],
     }
-    marks = {"p": p, "P": p.upper(), "n": robot.size}
+    marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": robot.size}
     content: dict[str, dict[str, Any]] = {
         "arm.h": _header(program, robot, digest),
         "example.c": example,
