@@ -26,7 +26,7 @@ from hybrid.report import write_results
 IN_STAGES = (
     "armature", "torque_offset", "coulomb", "viscous", "threshold_friction",
     "load_friction", "torque_ripple", "stribeck", "nonlinear_viscous",
-    "asymmetric_friction", "improved_stribeck", "presliding", "link_inertia",
+    "asymmetric_friction", "presliding", "link_inertia",
     "torque_gain",
 )  # fmt: skip
 

@@ -3,8 +3,12 @@
 from pathlib import Path
 
 from excitation_arms import arm
+from improved_stribeck_law import ImprovedStribeck
 
-from hybrid.effects import effect_class
+from hybrid.effects.asymmetric_friction import AsymmetricFriction
+from hybrid.effects.load_friction import LoadFriction
+from hybrid.effects.presliding import Presliding
+from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.excitation import Fourier
 from hybrid.excitation.constraints import TorqueLimits
 from hybrid.excitation.experiments import path_from_reference
@@ -16,12 +20,12 @@ FAMILY, FILL = Fourier(5, 0.1), 0.8  # of all motions; of the limits
 # What a joint of a drawn plant has or not, and the range of its shape. Sizes are a
 # quarter of the usual ones and up.
 KINDS = (
-    ("improved_stribeck", "velocity", 0.02, 0.1),
-    ("presliding", "distance", 0.002, 0.01),
-    ("load_friction", "", 0, 0),
-    ("asymmetric_friction", "", 0, 0),
-    ("torque_ripple", "periods", 1, 6),
-    ("torque_ripple", "periods", 30, 200),
+    (ImprovedStribeck, "velocity", 0.02, 0.1),
+    (Presliding, "distance", 0.002, 0.01),
+    (LoadFriction, "", 0, 0),
+    (AsymmetricFriction, "", 0, 0),
+    (TorqueRipple, "periods", 1, 6),
+    (TorqueRipple, "periods", 30, 200),
 )
 TRUTH = Path(__file__).parents[1] / "models/coman_truth.yaml"
 
@@ -51,7 +55,7 @@ def drawn(robot, rng):
     for j in range(robot.size):
         for kind, shape, lowest, highest in KINDS:
             shapes = {shape: rng.uniform(lowest, highest)} if shape else {}
-            usual = effect_class(kind).typical((j,), scales, **shapes)
+            usual = kind.typical((j,), scales, **shapes)
             part = rng.uniform(0.25, 1.0) * (rng.random() < 0.5)
             gains = {g.name: part * usual.values[g.name] for g in usual.gains}
             effects += [usual.at(gains)] if part else []

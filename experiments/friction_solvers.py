@@ -9,6 +9,7 @@ import time
 from typing import Any
 
 import numpy as np
+from improved_stribeck_law import ImprovedStribeck
 from joint_friction_logs import improved
 from scipy.optimize import differential_evolution
 from search import minimise
@@ -18,7 +19,6 @@ from separable import Problem, fit_separable
 
 from hybrid.arrays import Array
 from hybrid.effects import JointState
-from hybrid.effects.improved_stribeck import ImprovedStribeck
 
 LAWS = {"Coulomb + viscous": [0, 3], "Stribeck": [0, 1, 2, 3], "improved": [*range(6)]}
 # With how often they ask in a generation: for the offspring, and in the inner loop.

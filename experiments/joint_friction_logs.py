@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from improved_stribeck_law import ImprovedStribeck
 
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects import JointState
-from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.plant import Noise
 from hybrid.recording import Recording
 from hybrid.robot import Robot

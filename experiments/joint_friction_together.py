@@ -6,12 +6,12 @@ import time
 from typing import Any
 
 import numpy as np
+from improved_stribeck_law import ImprovedStribeck
 from joint_friction_logs import ALL_TRUE, ARM, CUTOFF, RATE, logged
 from separable_effects import Log, fit_effects
 
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
-from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from improved_stribeck_law import ImprovedStribeck
 
 from hybrid.arrays import Array
 from hybrid.effects import Body, Effect, JointState, Port, Quantity
-from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion

@@ -23,7 +23,7 @@ from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
 from hybrid.report.fit import held_out_table
 from hybrid.report.inspection import joints_table, write_inspection
-from hybrid.report.output import Section, provenance, render_template
+from hybrid.report.output import Section, provenance, render_page
 from hybrid.report.servo import gap_table
 from hybrid.report.style import BEST, BLUE, GREY, PALE, clean, new_figure, stage_inks
 from hybrid.report.table import Table
@@ -44,7 +44,7 @@ def text(result: Any) -> str:
 def html(result: Any) -> str:
     """The table of a result as HTML; names in it are escaped."""
     shown = _VIEWS[type(result)].table(result)
-    return render_template("table.html", provenance=None, table=shown)
+    return render_page("table.html", provenance=None, table=shown)
 
 
 def plot(result: Any, ax: Axes | None = None) -> Axes:

@@ -47,6 +47,7 @@ FLOORS = (
         "progress",
         "shown",
         "statistics",
+        "templates",
         "errors",
         "threads",
     },

@@ -53,16 +53,6 @@ def rigid(robot, motion):
         ("stribeck", {"velocity": 0.8, "exponent": 2.0}, [-np.exp(-6.25)]),
         ("thermal_friction", {}, [-2.0]),
         (
-            "improved_stribeck",
-            {"velocity": 1.0, "width": 0.1, "v": -0.5},
-            [-(1 - np.exp(-0.25)), -np.exp(-0.25), -0.5],
-        ),
-        (
-            "improved_stribeck",  # within the width: half of the level
-            {"velocity": 1.0, "width": 0.1, "v": -0.05},
-            [-0.5 * (1 - np.exp(-0.01)), -0.5 * np.exp(-0.01), -0.05],
-        ),
-        (
             "counterbalance",
             {"dead_centre": 0.2, "crank_ratio": 0.4},
             [np.sin(0.3), np.sin(0.3) / np.sqrt(1.16 - 0.8 * np.cos(0.3))],
@@ -618,7 +608,7 @@ def test_flags_tell_a_fit_how_to_treat_an_effect():
 
     dry = {name for name, cls in effect_classes().items() if getattr(cls, "dry", False)}
     assert dry >= {
-        "coulomb", "stribeck", "improved_stribeck", "asymmetric_friction",
+        "coulomb", "stribeck", "asymmetric_friction",
         "load_friction", "threshold_friction",
     }  # fmt: skip
     assert not dry & {"viscous", "nonlinear_viscous", "thermal_friction", "spring"}

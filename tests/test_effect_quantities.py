@@ -51,11 +51,6 @@ encoder_eccentricity  cosine            0.002    -0.05    0.05     1     rad
 encoder_offset        offset            0.01     -0.2     0.2      1     rad
 gravity_tilt          roll              0.02     -0.2     0.2      1     rad
 gravity_tilt          pitch             0.01     -0.2     0.2      1     rad
-improved_stribeck     coulomb           0.04     0        0.5      τ     N·m
-improved_stribeck     static            0.06     0        0.8      τ     N·m
-improved_stribeck     viscous           0.05     0        1        τ/v   N·m·s/rad
-improved_stribeck     velocity          0.05     0.001    1        1     rad/s
-improved_stribeck     width             0.002    0        0.1      1     rad/s
 load_friction         coefficient       0.1      0        0.6      1     -
 nonlinear_viscous     quadratic         0.02     -0.5     0.5      τ/v²  N·m·s²/rad²
 nonlinear_viscous     cubic             0.005    -0.5     0.5      τ/v³  N·m·s³/rad³
@@ -155,12 +150,11 @@ FLAGS = {
     "shifts": "command_latency delay",
     "usual": "armature coulomb torque_offset viscous",
     "inborn": "armature link_inertia",
-    "composite": "improved_stribeck threshold_friction",
+    "composite": "threshold_friction",
     "repeats": "contact torque_ripple",
     "shows_in_motion": "actuator_lag backlash delay elasticity",
     "warms": "thermal_friction",
-    "dry": "asymmetric_friction coulomb improved_stribeck load_friction stribeck "
-    "threshold_friction",
+    "dry": "asymmetric_friction coulomb load_friction stribeck threshold_friction",
 }
 
 

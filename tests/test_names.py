@@ -38,7 +38,7 @@ from hybrid.names import (
 )
 from hybrid.report import Section, markdown_table
 from hybrid.report.fit import torque_figure
-from hybrid.report.output import figure_bytes, render_template
+from hybrid.report.output import figure_bytes, render_page
 from hybrid.report.table import Table
 from hybrid.robot import Robot
 
@@ -207,7 +207,7 @@ def test_html_shows_the_name_and_nothing_of_it_becomes_a_tag(name):
         table = Table(("", name), ((name, "1"),), caption=name)
         sections = [Section(name, text=name, table=table)]
         content = {"title": name, "lead": name, "sections": sections}
-        return parsed(render_template("page.html", provenance=None, **content))
+        return parsed(render_page("page.html", provenance=None, **content))
 
     assert page(name).tags == page("plain").tags
     assert "".join(page(name).texts).count(name) >= 3

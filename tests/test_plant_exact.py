@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mujoco_inverse import file_inverse_dynamics
 from pendulum import pendulum, swings
 from scipy.integrate import solve_ivp
 
@@ -26,7 +27,6 @@ from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError, HybridWarning
 from hybrid.plant import Noise, Plant, Reference, simulate
 from hybrid.plant.arm import build_arm, inverse_dynamics
-from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.plant.joint_fields import (
     coupled_rows,
     curves,

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from improved_stribeck_law import ImprovedStribeck
 from scipy.signal import lfilter
 from separable import Problem, fit_separable
 from separable_effects import Log, fit_effects
 
 from hybrid.dynamics import RigidBody
-from hybrid.effects import JointState, Scale, effect_class
+from hybrid.effects import JointState, Scale
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.elasticity import Elasticity
-from hybrid.effects.improved_stribeck import ImprovedStribeck
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError
@@ -146,7 +146,7 @@ LAW = {"coulomb": 3.0, "static": 6.0, "viscous": 4.0, "velocity": 0.05, "width":
 
 
 def friction(v, **values):
-    effect = effect_class("improved_stribeck")((0,), LAW | values)
+    effect = ImprovedStribeck((0,), LAW | values)
     v = np.asarray(v, dtype=float)
     state = JointState(0 * v, 0 * v, v, 0 * v, np.sign(v), 0 * v)
     return np.stack(effect.law(state, **effect.shape_values), -1) @ effect.gain_values

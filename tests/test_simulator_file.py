@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS
+from mujoco_inverse import file_inverse_dynamics
 from simulated import motions, quiet
 from test_export import model_of
 
@@ -39,7 +40,6 @@ from hybrid.exports.simulator.friction import approximate_friction, curve
 from hybrid.exports.simulator.plan import plan
 from hybrid.model.declared import declared_effects
 from hybrid.plant import Plant, install, simulate
-from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
 
@@ -286,7 +286,7 @@ def test_a_coupled_rotor_of_an_arm_without_a_file_is_dry_at_any_speed(tmp_path):
     (motion,) = motions(robot, count=1, duration=1.0)
     apart = motion.v[:, :1] * [1.0, -1.0] + np.array([0.0, 0.01])  # rad/s
     motion, model = replace(motion, v=apart), SimpleNamespace(robot=robot)
-    dry = file_torque(tmp_path / "sim.xml", model, motion)
+    dry = file_inverse_dynamics(tmp_path / "sim.xml", robot.joints, motion, {})
     dry -= file_torque(robot, model, motion)
     moving = np.abs(motion.v).min(axis=1) > 0.05
     np.testing.assert_allclose(dry[moving], 2.0, atol=1e-6)
@@ -415,11 +415,14 @@ def test_torque_of_a_file_is_that_of_its_arm_in_any_format():
     robot = Robot.load(MODELS / "planar.xml")
     (motion,) = motions(robot, count=1, duration=3.0)
     model = SimpleNamespace(robot=robot)
-    ours, by_mujoco, by_urdf = (
+    ours, by_mjcf, by_urdf = (
         file_torque(x, model, motion)
         for x in (robot, MODELS / "planar.xml", str(MODELS / "planar.urdf"))
     )
+    np.testing.assert_allclose(by_mjcf, ours, atol=1e-9)
     np.testing.assert_allclose(by_urdf, ours, atol=1e-9)
+    file = MODELS / "planar.xml"
+    by_mujoco = file_inverse_dynamics(file, robot.joints, motion, {})
     moving = np.abs(motion.v) > 0.05
     np.testing.assert_allclose(by_mujoco[moving], ours[moving], atol=1e-6)
 

@@ -14,7 +14,7 @@ from hybrid.effects import Effect, Port, effect_classes
 from hybrid.errors import EffectError, HybridError
 
 # Sums of other laws, which a fit may choose but no cause has.
-_COMPOSITE = {"threshold_friction", "improved_stribeck"}
+_COMPOSITE = {"threshold_friction"}
 _ONE_SIDED = {"nonlinear_viscous", "transmission_coupling"}
 _RIPPLES = (1, 2, 4, 6, 12, 20, 32, 50, 100, 160, 200)
 _SPREAD = 0.5  # of the logarithm of sizes and shapes

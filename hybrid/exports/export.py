@@ -6,7 +6,7 @@ from typing import Any
 
 from hybrid.arguments import typed
 from hybrid.errors import HybridError
-from hybrid.exports.c_project import write_c
+from hybrid.exports.c_code import write_c
 from hybrid.exports.manifest import build_manifest, seal
 from hybrid.exports.simulator.model import model_simulator
 from hybrid.exports.simulator.snippets import isaac_lab, mjx_notes, write_ranges

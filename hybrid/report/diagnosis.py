@@ -19,7 +19,7 @@ from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report.diagnosis_data import evidence_matrix, joint_curves
 from hybrid.report.excitation import Postures
-from hybrid.report.output import provenance, render_template, write_results
+from hybrid.report.output import provenance, render_page, write_results
 
 PAGE, CONTENT = "report.html", "diagnosis.json"
 
@@ -60,7 +60,7 @@ def render_diagnosis(result: Result) -> str:
         "arm": _arm(result),
         "gaps": [row["above"] for row in rows],
     }
-    return render_template(
+    return render_page(
         "diagnosis.html",
         title=f"{diagnosis.robot}: simulator against robot",
         lead=words.verdict_sentence(diagnosis),

@@ -21,11 +21,12 @@ from hybrid.errors import HybridError
 from hybrid.files import atomic_path, write_json
 from hybrid.report.table import Table
 from hybrid.shown import plain
+from hybrid.templates import render_template
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_TEMPLATES = Path(__file__).parent / "pages"
+_PAGES = Path(__file__).parent / "pages"
 RESOLUTION = 150  # pixels per inch, of PNG files and of rasters inside SVG files
 
 
@@ -156,29 +157,20 @@ def write_page(
         provenance: Versions and inputs, for the foot of the page; see
             :func:`hybrid.report.provenance`.
     """
-    content = render_template(
+    content = render_page(
         "page.html", title=title, lead=lead, sections=sections, provenance=provenance
     )
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(content, encoding="utf-8")
 
 
-def render_template(
+def render_page(
     name: str, *, provenance: Mapping[str, Any] | None, **content: Any
 ) -> str:
-    """Render a template; strings are escaped."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    """Render a page; strings are escaped."""
     lines = {name: _line(x) for name, x in (provenance or {}).items()}
     made = [(name, line) for name, line in lines.items() if line]
-    return environment.get_template(name).render(provenance=made, **content)
+    return render_template(_PAGES / name, markup=True, provenance=made, **content)
 
 
 def _line(x: Any) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.recording.recording import Recording
-from hybrid.signals.cutoff import NOISE_BAND, blackman_harris
+from hybrid.signals.cutoff import NOISE_BAND
 from hybrid.signals.filters import Spectrum, butterworth_gain
 
 _SEGMENT = 4.0  # s, length of a spectrum
@@ -166,11 +166,12 @@ def _position_difference(recording: Recording) -> Array:
 def _densities(u: Array, v: Array, rate: float) -> tuple[Array, list[Spectrum]]:
     """Frequencies, and cross densities of u, a = du/dt and v."""
     from scipy.fft import rfft
+    from scipy.signal import get_window
 
     size = min(len(u), int(_SEGMENT * rate))
     count = 2 * len(u) // size - 1
     f = _moving_band(size, rate)
-    slope, window = np.sinc(2 * f / rate), blackman_harris(size)
+    slope, window = np.sinc(2 * f / rate), get_window("blackmanharris", size)
     window /= np.sqrt((window**2).sum() * rate / 2)  # one-sided densities
     signals = np.stack([u.T, np.gradient(u.T, axis=1) * rate, v.T])
     sums: list[Any] = [0.0] * 6

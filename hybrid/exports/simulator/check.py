@@ -10,7 +10,6 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.errors import HybridWarning
 from hybrid.model.dynamic_model import DynamicModel
-from hybrid.plant.inverse import file_inverse_dynamics
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 
@@ -42,12 +41,12 @@ def gaps(
 def file_torque(file: str | Path | Robot, model: DynamicModel, motion: Motion) -> Array:
     """Inverse dynamics of a simulator along a motion, shape (N, n), [N·m].
 
-    For an MJCF file, MuJoCo itself computes it, including tendons. The model, of the
-    same arm, says which joints it has.
+    The model, of the same arm, says which joints it has.
+
+    Raises:
+        RobotError: The file is unreadable, or has torque that no robot describes.
     """
     joints, held = model.robot.joints, dict(model.robot.held)
-    if not isinstance(file, Robot) and Path(file).suffix in (".xml", ".mjcf"):
-        return file_inverse_dynamics(file, joints, motion, held)
     robot = file
     if not isinstance(robot, Robot):
         with warnings.catch_warnings():

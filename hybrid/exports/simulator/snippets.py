@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 
 from hybrid.arrays import Array
+from hybrid.exports.c_code import TEMPLATES
 from hybrid.exports.simulator.model import (
     fields_of_model,
     model_simulator,
@@ -26,89 +27,12 @@ from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
+from hybrid.templates import render_template
 
 _DRAWS = 400  # from the posterior
 # Changes of an actuator that Isaac Lab has a place for.
 _ACTUATORS = {"latency", "limit", "stiffness", "damping"}
 _STEP = 0.005  # s, if the step of the simulation is not known
-_ACTUATOR = '''"""Actuators of {name} for Isaac Lab, with physics every {step!r} s."""
-
-from isaaclab.actuators import DelayedPDActuatorCfg
-
-ACTUATORS = {{
-    "arm": DelayedPDActuatorCfg(
-        joint_names_expr={names!r},
-{fields}
-    ),
-}}
-'''
-_EVENTS = '''"""95 % intervals of the parameters of {name}, for Isaac Lab.
-
-Isaac Lab draws each parameter independently; the YAML file has their correlations.
-"""
-
-from isaaclab.envs import mdp
-from isaaclab.managers import EventTermCfg, SceneEntityCfg
-
-_RANGES = {table}
-
-EVENTS = {{
-    f"joint_{{k}}": EventTermCfg(
-        func=mdp.randomize_joint_parameters,
-        mode="reset",
-        params={{
-            "asset_cfg": SceneEntityCfg("robot", joint_names=[name]),
-            "operation": "abs",
-            "distribution": "uniform",
-            **ranges,
-        }},
-    )
-    for k, (name, ranges) in enumerate(_RANGES.items())
-}}
-'''
-_MJX = '''"""Random parameters of {name}, for MuJoCo Playground and MJX.
-
-Rotors and friction are drawn from their posterior, with their correlations.
-MJX on JAX ignores quadratic and cubic damping: if they are drawn, it is refused.
-"""
-
-import jax
-import jax.numpy as jp
-
-_JOINTS = {joints!r}
-_FIELDS = {fields!r}  # of the model, the column, and whether it may be below zero
-_MEAN = {mean!r}
-_FACTOR = {factor!r}
-
-
-def domain_randomize(model, rng, mj_model):
-    """Batched model and axes, as ``wrap_for_brax_training`` wants them.
-
-    Bind ``mj_model``, MuJoCo's own model, with ``functools.partial``.
-    """
-    fields = [field for field, _, _ in _FIELDS]
-    if "dof_dampingpoly" in fields and model.impl.value == "jax":
-        raise NotImplementedError(
-            "MJX on JAX ignores quadratic and cubic damping; valid is impl='warp'"
-        )
-    dofs = jp.array([mj_model.joint(name).dofadr[0] for name in _JOINTS])
-    mean, factor = jp.array(_MEAN), jp.array(_FACTOR)
-
-    @jax.vmap
-    def drawn(key):
-        x = mean + factor @ jax.random.normal(key, (factor.shape[1],))
-        out = {{}}
-        for (field, column, signed), own in zip(_FIELDS, x.reshape(len(_FIELDS), -1)):
-            own = own if signed else jp.maximum(own, 0.0)
-            at = dofs if column is None else (dofs, column)
-            out[field] = out.get(field, getattr(model, field)).at[at].set(own)
-        return out
-
-    values = drawn(rng)
-    axes = jax.tree_util.tree_map(lambda x: None, model)
-    axes = axes.tree_replace({{field: 0 for field in values}})
-    return model.tree_replace(values), axes
-'''
 # Field of MuJoCo's model by the name of a range, its column, and whether it may be < 0.
 _DOF: dict[str, tuple[str, int | None, bool]] = {
     "armature": ("dof_armature", None, False),
@@ -147,11 +71,12 @@ def isaac_lab(
         if e.actuator and e.actuator.keys() <= _ACTUATORS
     }  # fmt: skip
     notes = tuple(note for note in edited.notes if note not in expressed)
-    text = _ACTUATOR.format(
-        name=_plain(robot.name),
+    text = _rendered(
+        "isaaclab",
+        robot.name,
         step=step,
         names=[re.escape(name) for name in robot.joints],
-        fields="\n".join(f"        {name}={x!r}," for name, x in fields.items()),
+        fields=fields,
     )
     return text, notes
 
@@ -165,7 +90,7 @@ def isaac_events(name: str, ranges: Ranges) -> str:
                 both = (max(float(low), 0.0), float(high))
                 key = f"{word}_distribution_params"
                 table.setdefault(re.escape(joint), {})[key] = both
-    return _EVENTS.format(name=_plain(name), table=_laid_out(table))
+    return _rendered("isaaclab_events", name, table=table)
 
 
 def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
@@ -180,8 +105,9 @@ def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
             draws[:, at] = ranges.draws[:, k]
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(draws, rowvar=False)))
     factor = vectors * np.sqrt(np.clip(values, 0.0, None))
-    return _MJX.format(
-        name=_plain(name),
+    return _rendered(
+        "mjx",
+        name,
         joints=list(ranges.joints),
         fields=[_DOF[x] for x in own],
         mean=mean.tolist(),
@@ -240,11 +166,7 @@ def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float] | None:
     return found or None
 
 
-def _laid_out(table: Mapping[str, Any]) -> str:
-    lines = "".join(f"    {name!r}: {own!r},\n" for name, own in table.items())
-    return f"{{\n{lines}}}"
-
-
-def _plain(name: str) -> str:
-    """Name for a docstring."""
-    return re.sub(r"[^\w .+-]", "_", name)
+def _rendered(template: str, name: str, **content: Any) -> str:
+    """Python for an arm of a name, which stands in a docstring."""
+    plain = re.sub(r"[^\w .+-]", "_", name)
+    return render_template(TEMPLATES / f"{template}.py.j2", name=plain, **content)

@@ -1,4 +1,4 @@
-"""Inverse dynamics of a whole MJCF file, computed by MuJoCo."""
+"""Inverse dynamics of a whole MJCF file by MuJoCo, to compare with ours."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

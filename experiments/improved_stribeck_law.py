@@ -1,4 +1,7 @@
-"""Coulomb, Stribeck and viscous friction in one law, linear about rest."""
+"""Coulomb, Stribeck and viscous friction in one law, linear about rest.
+
+``--effects-from`` adds it to the library of effects.
+"""
 
 from collections.abc import Sequence
 
