@@ -694,7 +694,9 @@ def test_the_model_of_a_corrected_arm_has_its_links_friction_and_findings():
     found = model.predict(m)
     fast = (np.abs(m.v) > 0.3).all(axis=1)
     np.testing.assert_allclose(found[fast], expected[fast], atol=1e-6)
-    assert model.cutoff == gap.cutoff and not model.standing.any()
+    assert model.cutoff == gap.cutoff
+    fastest = np.abs(gap.sampled.v[gap.sampled.mask]).max(axis=0)
+    np.testing.assert_allclose(model.standing, 0.01 * fastest, rtol=0.05)
 
 
 # --- a delay that all joints share ----------------------------------------------------
@@ -851,13 +853,11 @@ def test_the_gap_unseen_is_an_rms_before_and_after_and_at_its_ceiling(monkeypatc
 # --- the verdict ----------------------------------------------------------------------
 
 
-def verdict(explained, missed, causes=("f",), left=0.0, *, doubtful=False, wrong=None,
-            little=None):  # fmt: skip
+def verdict(explained, missed, causes=("f",), left=0.0, *, doubtful=False, little=None):
     explained, missed = np.array(explained, float), np.array(missed, float)
     found = Account(explained + missed, missed, 0 * missed, missed, ())
     with pytest.MonkeyPatch.context() as m:
         m.setattr(diagnose_module, "too_little_motion", lambda gap: little)
-        m.setattr(diagnose_module, "wrong_simulator", lambda gap: wrong)
         return _verdict(None, found, causes, left, doubtful=doubtful)
 
 
@@ -875,7 +875,6 @@ def test_without_a_cause_a_gap_is_unexplained_if_anything_is_missed():
     assert verdict([0.0], [0.0], causes=()) == ("no_gap", 0.0)
     assert verdict([0.0], [1.0], causes=()) == ("unexplained", 1.0)
     assert verdict([0.0], [0.0], causes=(), doubtful=True) == ("unexplained", 1.0)
-    assert verdict([0.0], [0.0], causes=(), wrong="?") == ("unexplained", 1.0)
 
 
 def test_causes_of_other_joints_do_not_explain_a_joint():

@@ -588,7 +588,8 @@ class TestSilence:
         )
         found, said = quiet(examine, other, recordings)
         assert found.diagnosis.verdict == "partly_explained"
-        assert any("file of this robot" in w for w in found.diagnosis.doubts)
+        assert found.diagnosis.unlike.startswith("gravity of the file")
+        assert any("is the arm mounted otherwise" in w for w in found.diagnosis.doubts)
         assert any("the file's links leave" in w for w in said)
 
     @pytest.mark.study

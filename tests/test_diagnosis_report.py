@@ -384,6 +384,8 @@ class TestVerdict:
         some = replace(some, unseen=None)
         assert headline(some).startswith("Coulomb at 3 joints, coulomb at joint_0, ")
         assert headline(some).endswith(" and 1 more; 31% of the gap is left")
+        other = headline(replace(some, unlike="links do not fit"))
+        assert other.startswith("Not the file of this arm: links do not fit; coulomb")
         nothing = replace(found, findings=(), verdict="unexplained", unexplained=1.0)
         assert headline(nothing) == "No known cause of the gap at shoulder and elbow"
 

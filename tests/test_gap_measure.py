@@ -15,11 +15,7 @@ from hybrid.diagnosis.gap.background import (
     friction_near_rest,
     soft_friction,
 )
-from hybrid.diagnosis.gap.coverage import (
-    not_excited,
-    too_little_motion,
-    wrong_simulator,
-)
+from hybrid.diagnosis.gap.coverage import not_excited, too_little_motion
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import (
     _asked,
@@ -106,18 +102,6 @@ def test_two_joints_move_for_a_second_each():
     assert said.endswith("valid are motions of 2 joints or more")
     none = too_little_motion(usable(moving=(0.5,)))
     assert none.startswith("no joint alone moves") and "of 1 joints or more" in none
-
-
-def test_a_simulator_that_is_worse_than_none_is_another_robots():
-    gap = SimpleNamespace(
-        moving=np.array([[True, True], [True, False]]),
-        measured=np.array([[3.0, 1.0], [1.0, 9.0]]), left=np.zeros((2, 2)),
-    )  # fmt: skip
-    # Squares of 3, 1 and 1 sum to 11; what does not move does not count.
-    for left, wrong in (([[3.0, 1.0], [1.0, 99.0]], False), ([[3, 1.1], [1, 0]], True)):
-        gap.left = np.array(left)
-        assert bool(wrong_simulator(gap)) == wrong
-    assert "is torque in N·m, and position in radians?" in wrong_simulator(gap)
 
 
 # --- samples that count ---------------------------------------------------------------

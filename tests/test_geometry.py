@@ -155,6 +155,31 @@ def test_a_floor_of_a_file_is_no_part_of_the_arm(tmp_path):
     assert found.link.tolist() == [0]
 
 
+SEEN = '<geom name="seen" size=".4" contype="0" conaffinity="0"/>'
+
+
+def test_what_is_only_seen_does_not_collide(tmp_path):
+    hard = '<geom name="hard" size=".1"/>'
+    assert mjcf(tmp_path, SEEN + hard).names == ("hard",)
+    assert mjcf(tmp_path, SEEN + hard.replace("/>", ' contype="0"/>')).names == (
+        "hard",
+    )
+
+
+def test_an_arm_without_collision_geometry_keeps_what_is_seen(tmp_path):
+    assert mjcf(tmp_path, SEEN).names == ("seen",)
+
+
+def test_a_geom_that_collides_in_a_pair_alone_is_kept(tmp_path):
+    paired = SEEN.replace("seen", "paired")
+    ball = '<body><freejoint/><geom name="ball" size=".1"/></body>'
+    text = MJCF.format(SEEN + paired).replace("</worldbody>", f"{ball}</worldbody>")
+    pair = '<contact><pair geom1="paired" geom2="ball"/></contact></mujoco>'
+    (tmp_path / "arm.xml").write_text(text.replace("</mujoco>", pair))
+    robot, _ = quiet(Robot.load, tmp_path / "arm.xml")
+    assert capsules_from_robot(robot).names[0] == "paired"
+
+
 def test_a_mesh_is_found_in_a_folder_above_its_file_or_named(tmp_path):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "m.stl").write_bytes(stl())

@@ -7,6 +7,7 @@ import pytest
 from arms import MODELS
 from simulated import quiet
 
+from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.errors import RobotError
 from hybrid.exports import build_simulator
 from hybrid.robot import Robot
@@ -80,6 +81,35 @@ def test_a_joint_without_a_drive_gets_one(tmp_path):
     build_simulator(new, kind="urdf").write(tmp_path / "new.urdf")
     again, _ = quiet(Robot.load, tmp_path / "new.urdf")
     np.testing.assert_allclose(again.chain.armature, [0.3, 0.0])
+
+
+SPRUNG = """<gazebo reference="first"><springStiffness>5</springStiffness>
+  <springReference>0.4</springReference><mu1>0.2</mu1></gazebo>"""
+
+
+def test_a_spring_that_a_file_has_is_not_left_out_as_well(tmp_path):
+    robot = robot_of(tmp_path, SPRUNG)
+    assert robot.stiffness.tolist() == [5.0, 0.0]
+    made = build_simulator(robot, kind="urdf")
+    assert made.rest == made.notes == () and made.text == made.original
+
+
+@pytest.mark.parametrize("stiffness, rest", [((7.5, 3.0), (-0.25, 1.0)), ((0, 0),) * 2])
+def test_springs_are_written_as_gazebo_reads_them(stiffness, rest, tmp_path):
+    robot = robot_of(tmp_path, SPRUNG)
+    new = replace(robot, stiffness=np.array(stiffness), springref=np.array(rest))
+    made = build_simulator(new, kind="urdf")
+    made.write(tmp_path / "new.urdf")
+    again, _ = quiet(Robot.load, tmp_path / "new.urdf")
+    np.testing.assert_allclose(again.stiffness, stiffness)
+    np.testing.assert_allclose(again.springref, rest)
+    assert made.rest == () and b"<mu1>0.2</mu1>" in made.text
+
+
+def test_a_constant_torque_is_no_spring_of_a_urdf(tmp_path):
+    offset = TorqueOffset((1,), {"level": 2.0})
+    made = build_simulator(robot_of(tmp_path, SPRUNG), [offset], kind="urdf")
+    assert made.rest == (offset,) and made.robot.stiffness.tolist() == [5.0, 0.0]
 
 
 def test_what_mujoco_reads_as_another_arm_is_not_converted(monkeypatch):

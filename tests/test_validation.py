@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from simulated import arm, quiet
 
-from hybrid.dynamics import inverse_dynamics
+from hybrid.dynamics import inverse_dynamics, stacked_base
+from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
@@ -19,7 +20,8 @@ from hybrid.errors import (
 )
 from hybrid.identification import DynamicModel, identify, predict, validate
 from hybrid.identification.validation import noise_floor
-from hybrid.plant import simulate
+from hybrid.plant import random_fourier, simulate
+from hybrid.recording import Recording
 from hybrid.report.output import plain
 from hybrid.report.table import table_from_validation
 from hybrid.signals import Sampler, motion_from_recording
@@ -241,3 +243,25 @@ def test_a_model_without_a_speed_of_standing_takes_that_of_the_log(fit, logs):
     whole = validate(fit.model, logs[3:])
     rows = zip(bare.rows, whole.rows, strict=True)
     assert all(a.mean == pytest.approx(b.mean, rel=0.05) for a, b in rows)
+
+
+def test_a_lag_does_not_show_the_noise_of_positions():
+    """Its change is that of the torque in the band in which lags are fitted."""
+    robot = arm("planar")
+    base = stacked_base(robot.chain, (), ())
+    base = base.with_values(base.mapping @ robot.chain.inertial.ravel())
+    rng = np.random.default_rng(3)
+    clean = random_fourier(robot, duration=6.0, rate=2000.0, seed=rng)
+    q = clean.q + 1e-5 * rng.standard_normal(clean.q.shape)
+    log = Recording(clean.t, q, joints=robot.joints)
+    plain = DynamicModel(robot, base, cutoff=10.0)
+    lags = tuple(ActuatorLag((j,), {"time": 0.03}) for j in range(2))
+    lagging = replace(plain, effects=lags)
+    exact = plain.predict(clean)
+    exact += 0.03 * np.gradient(exact, clean.t, axis=0)
+    pairs = (lagging, exact), (plain, exact), (plain, plain.predict(clean))
+    with_lag, without, noise = (
+        np.sqrt(np.mean((predict(model, log) - true)[400:-400] ** 2, axis=0))
+        for model, true in pairs
+    )
+    assert np.all(with_lag < 1.2 * noise) and np.all(noise < 0.2 * without)

@@ -30,12 +30,9 @@ from hybrid.diagnosis.explanations.explanation import Explanation, explain, shar
 from hybrid.diagnosis.explanations.refit import refit
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.baseline import Baseline
-from hybrid.diagnosis.gap.coverage import (
-    not_excited,
-    too_little_motion,
-    wrong_simulator,
-)
+from hybrid.diagnosis.gap.coverage import not_excited, too_little_motion
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.gap.likeness import Unlike, unlike
 from hybrid.diagnosis.gap.measure import split
 from hybrid.effects import Port, effect_at
 from hybrid.identification.preparation import checked_logs
@@ -194,11 +191,16 @@ class _Case:
         """Why the logs do not suffice to name a cause; None if they do."""
         return too_little_motion(self.gap)
 
+    @cached_property
+    def unlike(self) -> Unlike:
+        """What of the file is not as in the logs; empty if they are of one arm."""
+        return Unlike("", "") if self.too_little else unlike(self.gap)
+
 
 def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     """Explain the torque of some logs."""
     gap, logged = case.gap, case.logged
-    doubts = [x for x in (case.too_little, wrong_simulator(gap)) if x is not None]
+    doubts = [x for x in (case.too_little, case.unlike.doubt) if x]
     # A delay of all torque is corrected already.
     late = [effect_at(Port.MEASUREMENT, shifts=True).id] if logged.clocks else []
     tell("trying every effect at every joint", 0.1)
@@ -232,7 +234,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         apart, others = delay_finding(case.as_logged, scored, logged, rng)
         causes, effects = apart.merged(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
-    doubtful = bool(far) or (not causes and error > typical)
+    doubtful = bool(far or case.unlike.short) or (not causes and error > typical)
     verdict = _verdict(gap, found, causes, left, doubtful=doubtful)
     diagnosis = replace(
         _diagnosis(case.as_logged, search, found, causes, *verdict),
@@ -243,6 +245,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         ),
         warnings=(*gap.notes, *logged.notes),
         doubts=tuple(doubts),
+        unlike=case.unlike.short,
     )
     healthy = case.healthy.model.effects if case.healthy else ()
     return Result(diagnosis, case.as_logged, search, scored, found, effects,
@@ -303,12 +306,12 @@ def _verdict(
         causes: The named causes.
         left: Share of it that is left on the test samples.
         doubtful: Whether the file's numbers have larger errors than usual, which no
-            cause explains.
+            cause explains, or are of another arm.
     """
     if too_little_motion(gap):
         return "not_excited", 1.0
     if not causes:
-        missed = doubtful or found.missed.any() or wrong_simulator(gap) is not None
+        missed = doubtful or found.missed.any()
         return ("unexplained", 1.0) if missed else ("no_gap", 0.0)
     share = max(found.unknown, left)
     # The causes of other joints do not explain the gap of a joint without a cause.

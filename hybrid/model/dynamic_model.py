@@ -19,6 +19,7 @@ from hybrid.model.model_file import read_model, write_model
 from hybrid.model.program import Program, is_instant, program_from_model
 from hybrid.robot import Robot
 from hybrid.signals import Motion
+from hybrid.signals.filters import LOWER_BAND, butterworth
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,10 +100,21 @@ class DynamicModel:
         for effect in self.effects:
             if effect.reports:
                 joints = list(effect.joints)
-                tau[:, joints] = effect.report(motion.t, tau[:, joints])
+                known = self._known(effect, motion, tau[:, joints])
+                tau[:, joints] += effect.report(motion.t, known) - known
         if self.remainder is not None:
             tau += self.remainder.predict(motion.q, motion.v)
         return tau
+
+    def _known(self, effect: Effect, motion: Motion, torque: Array) -> Array:
+        """Torque from which an effect makes its change, shape (N, k), [N·m].
+
+        Positions are noisy up to twice the cut-off: a drive's law that differentiates
+        their torque would show the noise of a third derivative, which no fit has seen.
+        """
+        if not (effect.differentiates and effect.actuator) or len(motion.t) < 2:
+            return torque
+        return butterworth(torque, rate=motion.rate, cutoff=LOWER_BAND * self.cutoff)
 
     @cached_property
     def _parts(self) -> tuple[Program, tuple[Effect, ...]]:

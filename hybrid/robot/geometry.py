@@ -51,6 +51,8 @@ class Capsules:
 def capsules_from_robot(robot: Robot) -> Capsules:
     """Cover every collision geometry of the robot's file by capsules.
 
+    Of an MJCF body without collision geometry, its visible one is covered.
+
     Every point of the geometry lies inside a capsule. Links therefore do not touch if
     their capsules do not.
 
@@ -165,10 +167,8 @@ def _mesh(file: Path) -> tuple[Array, np.ndarray]:
 
 
 def _mjcf_pieces(model: Any) -> Iterator[Piece]:
-    for g in range(model.ngeom):
+    for g in _colliding(model):
         kind = mujoco.mjtGeom(int(model.geom_type[g]))
-        if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-            continue
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             mesh = model.mesh(int(model.geom_dataid[g]))
             first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
@@ -183,6 +183,15 @@ def _mjcf_pieces(model: Any) -> Iterator[Piece]:
         for points, extra in clouds:
             name = model.geom(g).name or f"geom_{g}"
             yield body, points @ R.T + model.geom_pos[g], extra, name
+
+
+def _colliding(model: Any) -> list[int]:
+    """Geoms that collide; those of a body without any are all that shows its shape."""
+    solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    collides[[*model.pair_geom1, *model.pair_geom2]] = True  # whatever their masks
+    known = np.isin(model.geom_bodyid, model.geom_bodyid[solid & collides])
+    return np.flatnonzero(solid & (collides | ~known)).tolist()
 
 
 def _pieces(points: Array, triangles: np.ndarray) -> Iterator[Array]:

@@ -26,6 +26,7 @@ _KINDS = {
     "revolute": "", "continuous": "", "prismatic": "", "fixed": "",
     "floating": "is free", "planar": "is planar",
 }  # fmt: skip
+SPRING = "springStiffness", "springReference"  # Gazebo's tags
 _GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s²
 
 
@@ -204,10 +205,7 @@ def _rotors(root: Element) -> Iterator[tuple[str, float]]:
 def _springs(root: Element) -> Iterator[tuple[str, tuple[float, float]]]:
     """Joint, and stiffness and rest position, of each spring in Gazebo's tags."""
     for tag in root.iter("gazebo"):
-        stiffness, rest = (
-            _number(tag.findtext(x, "0"), x)
-            for x in ("springStiffness", "springReference")
-        )
+        stiffness, rest = (_number(tag.findtext(x, "0"), x) for x in SPRING)
         if stiffness:
             yield tag.get("reference", ""), (stiffness, rest)
 

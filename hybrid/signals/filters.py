@@ -14,6 +14,7 @@ from hybrid.arrays import Array
 Label = TypeVar("Label", bound=np.generic)
 Spectrum = NDArray[np.complex128]
 
+LOWER_BAND = 0.5  # of the cut-off: above it, derivatives of positions are mostly noise
 _ORDER = 5  # of the Butterworth filter in one pass
 _SAMPLES_PER_PERIOD = 3.5  # of the cut-off, that decimation keeps
 _BLOCK = 6  # signals filtered at a time: they fit into the processor's cache

@@ -185,6 +185,8 @@ class Diagnosis(Shown):
         provenance: Versions, seeds and files.
         unseen: The gap of each joint on held-out motions.
         events: Contacts of the moving arm, then pushes while it stood still.
+        unlike: What of the file is not as in the logs, and so of another arm; empty if
+            nothing is.
         sentence: The effects, their joints and what is left, in a few words.
     """
 
@@ -206,6 +208,7 @@ class Diagnosis(Shown):
     unseen: Unseen | None = None
     events: tuple[Event, ...] = ()
     doubts: tuple[str, ...] = ()
+    unlike: str = ""
     sentence: str = ""
 
     def save(self, path: str | Path) -> None:

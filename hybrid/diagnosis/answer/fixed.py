@@ -16,6 +16,7 @@ from hybrid.dynamics import stacked_base
 from hybrid.effects import Effect
 from hybrid.exports.simulator.simulator import build_simulator
 from hybrid.identification import DynamicModel
+from hybrid.identification.preparation import standing_speed
 from hybrid.model.declared import declared_effects
 from hybrid.regression.data import visited
 from hybrid.robot import Robot
@@ -111,7 +112,7 @@ def fixed_model(gap: Gap, robot: Robot, effects: Sequence[Effect]) -> DynamicMod
         base=base.with_values(base.mapping @ inertial.ravel()),
         effects=(*declared_effects(robot), *effects),
         cutoff=gap.cutoff,
-        standing=np.zeros(robot.size),
+        standing=standing_speed(gap.motions),
         range=visited([gap.sampled]),
         inertial=inertial,
     )

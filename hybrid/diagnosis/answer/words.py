@@ -36,7 +36,10 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The first effects with their joints, and the gap that is left, in a few words."""
+    """The first effects with their joints, and the gap that is left, in a few words.
+
+    That the file is not of this arm comes before: effects then make up for it.
+    """
     named = [
         f"{f.effect.replace('_', ' ')} at {joints_named(f.joints)}"
         for f in diagnosis.findings
@@ -47,6 +50,8 @@ def headline(diagnosis: Diagnosis) -> str:
         "not_excited": "the recordings move the arm too little to tell",
         "unexplained": f"no known cause of the gap at {where}",
     }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {_rest(diagnosis)}")
+    if diagnosis.unlike:
+        text = f"not the file of this arm: {diagnosis.unlike}; {text}"
     return text[:1].upper() + text[1:]
 
 

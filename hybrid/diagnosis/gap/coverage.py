@@ -84,19 +84,3 @@ def too_little_motion(gap: Gap) -> str | None:
             f"acts on it; valid are motions of {fewest} joints or more"
         )
     return None
-
-
-def wrong_simulator(gap: Gap) -> str | None:
-    """Warn where the gap is larger than the measured torque; ``None`` elsewhere.
-
-    Squares are summed over joints in N²·m², so that the strong joints decide.
-    """
-    measured = np.where(gap.moving, gap.measured, 0.0)
-    left = np.where(gap.moving, gap.left, 0.0)
-    if np.sum(left**2) <= np.sum(measured**2):
-        return None
-    return (
-        "the torque that the simulator needs is farther from the measured one than "
-        "none at all: is it the file of this robot? is torque in N·m, and position in "
-        "radians?"
-    )

@@ -13,11 +13,11 @@ from hybrid.effects import Effect, Scale
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
+from hybrid.signals.filters import LOWER_BAND as LOWER_BAND
 from hybrid.signals.filters import butterworth
 
 Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 
-LOWER_BAND = 0.5  # of the cut-off: above it, derivatives of positions are mostly noise
 _VISIBLE = 0.7  # of the cut-off: an oscillation above it is lost in noise
 _FRICTION_BAND = 25.0  # Hz; band in which a reversal of dry friction is visible
 _KEPT = 500  # columns of effects, which a search asks for again and again

@@ -10,6 +10,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
+from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.exports.simulator.friction import (
@@ -35,7 +36,8 @@ from hybrid.signals import Motion
 
 # Fields of a joint in each kind of file, and those that approximate friction.
 JOINT_FIELDS = {
-    "mjcf": tuple(FIELDS), "urdf": ("armature", "damping", "frictionloss"),
+    "mjcf": tuple(FIELDS),
+    "urdf": ("armature", "damping", "frictionloss", "stiffness", "preload"),
 }  # fmt: skip
 _CURVE = {
     "mjcf": (
@@ -76,6 +78,8 @@ def plan(
         else:
             inertial, gravity = inertial + rigid[0], gravity + rigid[1]
     values, others = split_effects(acting, JOINT_FIELDS[kind], n)
+    if not mjcf:
+        others += _offsets(values)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
     friction = [effect for effect in others if is_friction(effect)]
     robot, friction = with_curves(robot, friction, mjcf)
@@ -103,6 +107,20 @@ def plan(
         missing=(*(e for e in rest if e not in known and e not in shaped), *below),
         corrections=tuple(error),
     )
+
+
+def _offsets(values: dict[str, Array]) -> list[Effect]:
+    """Remove preloads without a spring from joint fields, as offsets of torque.
+
+    A URDF file has no word for a constant torque: a soft spring in Gazebo's tags would
+    be one in a single simulator.
+    """
+    alone = np.where(values["stiffness"] > 0, 0.0, values["preload"])
+    values["preload"] -= alone
+    return [
+        TorqueOffset((j,), {"level": float(alone[j])})
+        for j in np.flatnonzero(alone).tolist()
+    ]
 
 
 def drive_changes(effects: Sequence[Effect]) -> dict[int, Actuator]:

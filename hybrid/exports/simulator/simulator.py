@@ -112,7 +112,7 @@ def build_simulator(
     edit = edit_mjcf if kind == "mjcf" else edit_urdf
     lacks = list(edit(document, planned.change, old))
     found = read(document, old, kind)
-    _check(found, new, JOINT_FIELDS[kind])
+    _check(found, new, kind)
     if origin.own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
@@ -136,13 +136,14 @@ def build_simulator(
     )
 
 
-def _check(found: Robot, wanted: Robot, fields: Sequence[str]) -> None:
+def _check(found: Robot, wanted: Robot, kind: str) -> None:
     """Compare the arm in the edited file with the arm that was asked for."""
-    names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"} & {*fields}
-    names |= {"ripple", "falling", "coupled"} if "preload" in fields else set()
+    names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"}
+    names &= {*JOINT_FIELDS[kind]}
+    names |= {"ripple", "falling", "coupled"} if kind == "mjcf" else set()
     names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
     pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names}
-    chains = ["armature", "inertial", *(["gravity"] if "preload" in fields else [])]
+    chains = ["armature", "inertial", *(["gravity"] if kind == "mjcf" else [])]
     for x in chains:
         pairs[x] = getattr(found.chain, x), getattr(wanted.chain, x)
     for name, (x, y) in pairs.items():

@@ -10,7 +10,7 @@ from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, Tag, element, relative_path, text_of
 from hybrid.robot.robot import Robot
 from hybrid.robot.tree import Body
-from hybrid.robot.urdf import urdf_root, urdf_tree
+from hybrid.robot.urdf import SPRING, urdf_root, urdf_tree
 
 DRAKE = {"xmlns:drake": "http://drake.mit.edu"}
 
@@ -37,6 +37,9 @@ def edit_urdf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
             document.set_child(joint, "dynamics", given)
         if new.chain.armature[j] != old.chain.armature[j]:
             _rotor(document, name, float(new.chain.armature[j]))
+        spring, before = ((x.stiffness[j], x.springref[j]) for x in (new, old))
+        if spring != before:
+            _spring(document, name, *map(float, spring))
     if np.abs(new.chain.gravity - old.chain.gravity).max() > 1e-6:
         return (f"gravity {text_of(new.chain.gravity)} m/s²",)
     return ()
@@ -96,6 +99,23 @@ def _rotor(document: Document, joint: str, inertia: float) -> None:
         f'<joint name="{name}"/><actuator name="{name}_motor">{own}</actuator>'
         "</transmission>"
     )
+
+
+def _spring(document: Document, joint: str, stiffness: float, rest: float) -> None:
+    """Write the spring of a joint in Gazebo's tags, in place of those in the file."""
+    own = document.find("gazebo", reference=joint)
+    for tag in own:
+        for name in SPRING:
+            for child in document.children(tag, name):
+                document.replace(child, "")
+    if not stiffness:
+        return
+    values = zip(SPRING, (stiffness, rest), strict=True)
+    text = "".join(f"<{name}>{text_of(x)}</{name}>" for name, x in values)
+    if own:
+        document.insert_child(own[-1], text)
+    else:
+        document.append(f'<gazebo reference="{text_of(joint)}">{text}</gazebo>')
 
 
 def _declare(document: Document) -> None:
