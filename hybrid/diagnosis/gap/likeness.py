@@ -15,14 +15,11 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.effects import Effect, effect_classes
-from hybrid.effects.armature import Armature
-from hybrid.effects.gravity_tilt import GravityTilt
-from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects import effect_classes
 
 _LEAST_GAIN = 1.0  # nat, of another gravity; of right files none reached 0.1
 _LEAST_LEFT = 0.01  # of a joint's squares: a law of friction leaves as much
-_LARGEST_TILT = max(g.upper for g in GravityTilt.gains)  # rad, which an effect explains
+_LARGEST_TILT = 0.2  # rad; a smaller one is an error of mounting
 _LIGHTEST = 0.5  # of the file's masses
 _HALF = 0.5  # of squares, and of joints
 _FEWEST_JOINTS = 2  # one may have a cause of its own
@@ -138,12 +135,11 @@ def _joints(gap: Gap) -> Iterator[_Joint]:
         np.stack([sampler(body.weight(g)) for g in np.eye(3)], axis=-1)
         for _, body, sampler in gap.lower_band
     ])  # fmt: skip
-    usual = [x for x in effect_classes().values() if x.usual]
-    kinds: dict[type[Effect], None] = dict.fromkeys([*usual, Armature, TorqueOffset])
+    usual = [cls for cls in effect_classes().values() if cls.usual]
     for j, used in enumerate(gap.moving.T):
         if not used.any():
             continue
-        drive = np.hstack([gap.columns(kind((j,)))[j] for kind in kinds])[used]
+        drive = np.hstack([gap.columns(cls((j,)))[j] for cls in usual])[used]
         basis = _basis(drive)
 
         def beyond(x: Array, basis: Array = basis) -> Array:
