@@ -177,6 +177,19 @@ def test_a_soft_servo_is_found_where_it_is(folder):
     assert (fit.after < 4 * TICK).all()
 
 
+def test_a_second_fit_starts_from_the_file_that_the_first_one_wrote(folder, tmp_path):
+    """It started from usual servos, and found the same gap once more."""
+    fit = found(folder, stiffness=0.6)
+    fit.save(tmp_path / "fixed.xml")
+    gain = np.zeros((2, 10))
+    gain[:, 0] = 25.0, 12.0
+    logs = [log(k, 6.0, actuator_gainprm=gain) for k in range(2)]
+    again = fit_servo(Robot.load(tmp_path / "fixed.xml"), logs)
+    assert not any("declares no servo" in x for x in again.notes)
+    np.testing.assert_allclose(again.before, fit.after, rtol=0.05)
+    assert all(x.worth < TICK for x in again.findings), again.findings
+
+
 def test_an_arm_like_its_file_has_nothing_worth_a_step_of_the_encoder(folder):
     fit = found(folder)
     assert all(x.worth < TICK for x in fit.findings), fit.findings
