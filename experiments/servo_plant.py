@@ -46,10 +46,9 @@ class Arm:
         data, goal, out = self.data, command[0] + self.zero, []
         data.qpos[self.own] = goal * self.ways
         parts = round((t[1] - t[0]) / STEP)
-        fine = np.arange(len(t) * parts) * STEP
-        each = zip(self.late, command.T, strict=True)
-        late = [np.interp(fine - d, t, c) for d, c in each]
-        asked = self.zero + np.stack(late, axis=1)
+        late = np.arange(len(t) * parts)[:, None] - np.round(self.late / STEP)
+        last = np.maximum(late // parts, 0).astype(int)  # which a servo holds
+        asked = self.zero + np.take_along_axis(command, last, axis=0)
         for k in range(len(t)):
             out.append(data.qpos[self.own] * self.ways - self.zero)
             out[-1][self.j] += self.gap

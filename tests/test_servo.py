@@ -123,7 +123,8 @@ def log(
     data.qpos[own] = command[0]
     t, q = np.arange(len(command)) / RATE, []
     now = t[:, None] + np.arange(parts) * model.opt.timestep - delay
-    asked = np.stack([np.interp(now, t, x) for x in command.T], axis=2)
+    last = np.clip(np.floor(now * RATE + 1e-6).astype(int), 0, None)
+    asked = command[last]  # a servo holds its last command
     for goals_of_sample in asked:
         q.append(data.qpos[own])
         q[-1][0] += data.qpos[1] if play else 0.0
@@ -174,6 +175,19 @@ def test_a_soft_servo_is_found_where_it_is(folder):
     assert not any(x.joint == "shoulder" and x.worth > TICK for x in fit.findings)
     assert fit.after[1] < 0.35 * fit.before[1]
     assert (fit.after < 4 * TICK).all()
+
+
+def test_a_second_fit_starts_from_the_file_that_the_first_one_wrote(folder, tmp_path):
+    """It started from usual servos, and found the same gap once more."""
+    fit = found(folder, stiffness=0.6)
+    fit.save(tmp_path / "fixed.xml")
+    gain = np.zeros((2, 10))
+    gain[:, 0] = 25.0, 12.0
+    logs = [log(k, 6.0, actuator_gainprm=gain) for k in range(2)]
+    again = fit_servo(Robot.load(tmp_path / "fixed.xml"), logs)
+    assert not any("declares no servo" in x for x in again.notes)
+    np.testing.assert_allclose(again.before, fit.after, rtol=0.05)
+    assert all(x.worth < TICK for x in again.findings), again.findings
 
 
 def test_an_arm_like_its_file_has_nothing_worth_a_step_of_the_encoder(folder):
@@ -442,6 +456,23 @@ def test_a_goal_moves_no_faster_than_its_pace():
         assert (other[parts:] == goal[1]).all()
 
 
+@pytest.mark.parametrize(
+    ("delay", "goals"),
+    [
+        (0.0, [1, 1, 3, 3]),
+        (0.5, [1, 1, 1, 3]),  # of a part: half a sample
+        (0.25, [1, 1, 2, 3]),  # a goal is the mean over its part
+        (1.5, [1, 1, 1, 1]),
+    ],
+)
+def test_a_servo_holds_the_last_command_that_it_received(delay, goals):
+    """Replays led a held command by half a sample, which was added to the delay."""
+    sent = np.array([[1.0], [3.0], [7.0]])
+    held = Stretch(1 / RATE, sent, sent, np.zeros(1))
+    found = held.goals(np.array([delay / RATE]), np.zeros(1), 2)
+    np.testing.assert_allclose(found[:, 0], goals, atol=1e-9)
+
+
 @pytest.mark.parametrize("changed", [{"pace": 2.5}, {"delay": 0.3}])
 def test_a_part_of_a_log_starts_with_the_goals_that_the_whole_has_there(changed):
     """A slow or late goal is still behind where a part begins."""
@@ -534,11 +565,13 @@ def test_a_written_file_moves_as_the_servos_that_were_found(folder, tmp_path, ch
     data.qpos[:], data.qvel[:] = stretch.q[0], stretch.v
     data.ctrl[:] = stretch.command[0]
     mujoco.mj_forward(model, data)
-    data.act[:] = bristles(drive, stretch, stretch.command[0], data.qfrc_bias)
+    data.act[:] = bristles(
+        drive, stretch, stretch.command[0], data.qfrc_bias - data.qfrc_spring
+    )
     moved = [data.qpos.copy()]
-    for before, after in zip(stretch.command[:-1], stretch.command[1:], strict=True):
-        for i in range(parts):
-            data.ctrl[:] = before + (after - before) * i / parts
+    for command in stretch.command[:-1]:
+        data.ctrl[:] = command
+        for _ in range(parts):
             mujoco.mj_step(model, data)
         moved.append(data.qpos.copy())
     assert np.abs(np.array(moved) - expected).max() < 1e-4

@@ -265,18 +265,18 @@ def test_stops_and_springs_stay_where_they_are_when_the_log_counts_otherwise():
 
 
 def test_bristles_of_a_slow_joint_hold_it_and_those_of_a_fast_one_slide():
-    drive = FILE.at(stiction=[0.2, 0.1], dead_band=[0.01, 0.0], offset=[0.05, 0.0])
+    drive = FILE.at(stiction=[0.2, 0.1], dead_band=[0.01, 0.0])
     k, sigma, weight = drive["stiffness"], drive.bristle, np.array([0.3, -0.1])
 
     def bend(goal, v, stall=drive["stall"]):
         start = Stretch(STEP, np.zeros((2, 2)), np.full((2, 2), 0.2), np.array(v))
         return bristles(drive.at(stall=stall), start, np.array(goal), weight) * sigma
 
-    rest = [k[0] * 0.005 + 0.05 - 0.3, k[1] * -0.01 + 0.1]
+    rest = [k[0] * 0.005 - 0.3, k[1] * -0.01 + 0.1]
     np.testing.assert_allclose(bend([0.215, 0.19], [0.04, -0.04]), rest)
     held = [0.5, -0.3]  # no more than coulomb and stiction
     np.testing.assert_allclose(bend([1.2, -0.8], [0.0, 0.0]), held)
-    weak = [0.1 + 0.05 - 0.3, -0.1 + 0.1]
+    weak = [0.1 - 0.3, -0.1 + 0.1]
     np.testing.assert_allclose(bend([1.2, -0.8], [0, 0], 0.1), weak, atol=1e-12)
     np.testing.assert_allclose(bend([1.2, -0.8], [-0.06, 0.06]), [-0.3, 0.2])
 
@@ -690,6 +690,58 @@ def test_a_written_file_has_the_numbers_of_the_model_that_is_replayed(tmp_path):
     assert written.actuator_history[:, 0].tolist() == [0, 7]
     assert written.qpos0 == pytest.approx([np.deg2rad(10) - 0.02, 0.03])
     assert written.opt.timestep == 0.004
+
+
+@pytest.mark.parametrize("unit", ["degree", "radian"])
+def test_a_written_file_declares_the_servos_that_were_written(tmp_path, unit):
+    """Its DC motors were not read: a second diagnosis started at usual servos."""
+    path, angles = tmp_path / "arm.xml", {"degree": "-90 80", "radian": "-1.6 1.4"}
+    text = DEGREES.format("").replace('angle="degree"', f'angle="{unit}"')
+    path.write_text(text.replace("-90 80", angles[unit]))
+    robot = Robot.load(path)
+    same = {
+        "stiffness": [30.0, 22.0], "damping": [1.5, 0.9], "coulomb": [0.2, 0.1],
+        "stall": [3.0, 1.0], "stiction": [0.05, 0.02], "armature": [0.03, 0.04],
+        "presliding": [2e-3, 4e-3], "stribeck_speed": [0.1, 0.2], "delay": [0.0, 0.021],
+        "quadratic": [0.0, 0.1],
+    }  # fmt: skip
+    drive = Drive.declared(robot).at(
+        **same, offset=[0.2, -0.1], zero=[0.02, -0.03], spring=[0.0, 1.0],
+        upper=[1.1, 0.9], sign=[1.0, -1.0], mass=[1.0, 1.5], pitch=[0.05, 0.0],
+    )  # fmt: skip
+    write_servos(robot, drive, tmp_path / "new.xml")
+    again = Robot.load(tmp_path / "new.xml")
+    for name, values in same.items():
+        found = Drive.declared(again)[name]
+        np.testing.assert_allclose(found, values, rtol=1e-9, err_msg=name)
+    assert again == Robot.from_dict(again.as_dict())
+    t = np.arange(0.0, 3.0, STEP)[:, None]
+    command = 0.3 + 0.5 * np.sin(np.array([4.0, 6.0]) * t + [0.0, 1.0])
+    stretch = Stretch(STEP, command, command, np.zeros(2))
+    ((before,),) = ServoSimulator(robot).replay([stretch], [drive])
+    ((after,),) = ServoSimulator(again).replay([stretch], [None])
+    np.testing.assert_allclose(after, before, atol=1e-7)
+
+
+def test_a_geared_motor_is_read_as_the_joint_has_it(tmp_path):
+    path = tmp_path / "arm.xml"
+    motor = (
+        '<dcmotor joint="a" input="{}" gear="2" motorconst="0.5" resistance="2" '
+        'controller="30 {} 3 0 0 36" lugre="41 0 1 1.5 0.2"/>'
+    )
+    start, _, rest = DEGREES.format("").partition('<position joint="a"')
+    for kind, integral, expected in (
+        ("pos", 0, (120.0, 12.0)),
+        ("pos", 5, (np.nan, np.nan)),
+        ("vel", 0, (np.nan, np.nan)),
+    ):
+        own = motor.format(kind, integral)
+        path.write_text(start + own + rest.partition("/>")[2])
+        robot = Robot.load(path)
+        np.testing.assert_allclose((robot.kp[0], robot.kd[0]), expected)
+        assert robot.tau_max[0] == pytest.approx(2 * 0.5 / 2 * 36)
+        expected_friction = [[0, 2.0, 1.0, 0.1, 1 / 41 / 2]]
+        np.testing.assert_allclose(robot.bristle, expected_friction)
 
 
 @pytest.mark.parametrize("changed", [{}, {"zero": 0.1}, {"sign": -1.0}, {"lower": -1}])

@@ -190,6 +190,41 @@ def test_slopes_and_normal_equations_are_those_of_the_law():
     )
 
 
+def test_intervals_hold_what_differs_between_logs():
+    """They narrowed with every log, though each log had another offset."""
+    rng, k = np.random.default_rng(5), NAMES.index("offset")
+    own = np.zeros_like(FREE)
+    own[k, 0] = True
+    away, size = [], 0.05
+    for seed in range(60):
+        made = problem(FILE, count=2, seed=seed)
+        logs = []
+        for i in range(12):
+            x = made.stretches[i % 2]
+            drive = FILE.at(offset=[size * rng.standard_normal(), 0.0])
+            q = made.simulator.moved(i % 2, drive)
+            q += NOISE * rng.standard_normal(q.shape)
+            logs.append((replace(x, q=q, sent=x.sent), i))
+        one = problem(FILE, count=2, seed=seed)
+
+        class Named:
+            def replay(self, stretches, drives, law=one.simulator):
+                return [
+                    [law.moved(int(x.source) % 2, d) for x in stretches] for d in drives
+                ]
+
+        stretches = [replace(x, source=str(i)) for x, i in logs]
+        many = replace(one, simulator=Named(), stretches=stretches, _known={})
+        found = many.fitted(many.at(FILE.coordinates, own), None, 8)
+        noise = many.noise(found.errors)
+        std = float(np.sqrt(many.covariance(found, noise)[0, 0]))
+        narrow = many.normal(found, many.slopes(found, each=True), noise)[0][0, 0]
+        away.append((abs(found.x[k, 0]) / std, abs(found.x[k, 0]) * narrow**0.5, std))
+    inside, before, _ = np.mean(np.array(away) < [1.96, 1.96, np.inf], axis=0)
+    assert 0.88 <= inside and before < 0.8
+    assert np.median(away, axis=0)[2] < 3 * size / 12**0.5
+
+
 def test_a_fit_ends_where_least_squares_does():
     truth = FILE.at(stiffness=[15.0, 30.0], offset=[0.5, -0.5])
     made = problem(truth)

@@ -48,14 +48,36 @@ def bristles(model: Any, index: list[int]) -> np.ndarray:
         Joint, sliding friction [N·m], static less sliding friction [N·m], and Stribeck
         speed [rad/s].
     """
+    return _bristles(model, index, passive_motors(model))[:, :4]
+
+
+def servo_bristles(model: Any, index: list[int]) -> np.ndarray:
+    """LuGre friction of motors with control input, as in :class:`Robot`, (S, 5)."""
+    return _bristles(model, index, drives_of(model))
+
+
+def _bristles(
+    model: Any, index: list[int], motors: Iterator[tuple[int, int, float]]
+) -> np.ndarray:
     found = []
-    for a, joint, gear in passive_motors(model):
+    for a, joint, gear in motors:
+        if model.actuator_biastype[a] != mujoco.mjtBias.mjBIAS_DCMOTOR:
+            continue
         level, static, speed = model.actuator_biasprm[a, 3:6]
-        if joint in index and model.actuator_dynprm[a, 5] > 0:
-            ratio = abs(gear)
-            above = ratio * (static - level)
-            found.append((index.index(joint), ratio * level, above, speed / ratio))
-    return np.array(found).reshape(-1, 4)
+        stiffness, ratio = model.actuator_dynprm[a, 5], abs(gear)
+        if joint in index and stiffness > 0:
+            at_joint = ratio * level, ratio * (static - level), speed / ratio
+            bend = level / stiffness / ratio
+            found.append((index.index(joint), *at_joint, bend))
+    return np.array(found).reshape(-1, 5)
+
+
+def latency(model: Any) -> np.ndarray:
+    """Largest delay of a control input at each joint, [s]."""
+    late = np.zeros(model.njnt)
+    for a, joint, _ in drives_of(model):
+        late[joint] = max(late[joint], model.actuator_delay[a])
+    return late
 
 
 def through_gears(model: Any, name: str) -> np.ndarray:
@@ -77,6 +99,8 @@ def torque_limit(model: Any) -> np.ndarray:
             model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
         )
+        most = _most_torque(model, a)
+        limit[joint] = min(limit[joint], abs(gear) * most)
         if plain and model.actuator_ctrllimited[a]:  # force is gain times control
             force = np.abs(model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a])
             limit[joint] = min(limit[joint], abs(gear) * force.max())
@@ -87,14 +111,29 @@ def torque_limit(model: Any) -> np.ndarray:
     return limit
 
 
+def _most_torque(model: Any, a: int) -> float:
+    """Stall torque of a DC motor by the voltage of its controller, or inf."""
+    if model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_DCMOTOR:
+        resistance, constant = model.actuator_gainprm[a, :2]
+        voltage = model.actuator_gainprm[a, 7]
+        if voltage > 0:
+            return float(constant / resistance * voltage)
+    return np.inf
+
+
 def servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness and damping of the position servo at each joint; NaN without one.
 
     A servo's gain equals its feedback of position (``position``) or speed
-    (``velocity``). The gains of both kinds at one joint, a PD controller, are added.
+    (``velocity``), or is that of the controller of a DC motor whose input is a
+    position. The gains of all kinds at one joint, a PD controller, are added.
     """
     kp, kd = np.zeros((2, model.njnt))
     for a, joint, gear in drives_of(model):
+        if _positions_motor(model, a):
+            kp[joint] += gear**2 * model.actuator_gainprm[a, 4]
+            kd[joint] += gear**2 * model.actuator_gainprm[a, 6]
+            continue
         gain = model.actuator_gainprm[a, 0]
         constant, stiffness, damping = model.actuator_biasprm[a, :3]
         servo = (
@@ -110,3 +149,12 @@ def servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
             kd[joint] -= gear**2 * damping
     has_servo = kp > 0
     return np.where(has_servo, kp, np.nan), np.where(has_servo, kd, np.nan)
+
+
+def _positions_motor(model: Any, a: int) -> bool:
+    """Whether an actuator is a DC motor behind a PD controller of position."""
+    return bool(
+        model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_DCMOTOR
+        and model.actuator_ctrlspec[a] == mujoco.mjtCtrlInput.mjINPUT_POS
+        and model.actuator_gainprm[a, 5] == 0  # of the integral
+    )

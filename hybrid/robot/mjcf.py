@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 from hybrid.errors import RobotError, warn
 from hybrid.robot.actuators import (
     bristles,
+    latency,
     ripples,
+    servo_bristles,
     servo_gains,
     through_gears,
     torque_limit,
@@ -73,6 +75,8 @@ def fields_of_mujoco(
         "ripple": ripples(model, index),
         "falling": falling[(falling[:, 1:] > 0).all(axis=1)],
         "coupled": _coupled(model, index),
+        "bristle": servo_bristles(model, index),
+        "latency": latency(model)[index],
     }
 
 

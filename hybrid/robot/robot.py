@@ -27,15 +27,18 @@ if TYPE_CHECKING:
 else:
     Source = Any  # pinocchio takes half a second
 
-_SPRINGS = ("quadratic", "cubic", "stiffness", "springref", "knee", "knee_speed")
+# Younger than the first models that were saved.
+_LATER = (
+    "quadratic", "cubic", "stiffness", "springref", "knee", "knee_speed", "latency",
+)  # fmt: skip
 _NEEDED = ("q_min", "q_max", "v_max", "tau_max", "damping", "frictionloss")
 # Arrays with a value for each joint, and the value of a joint without one.
 _VECTORS = {
     "q_min": -np.inf, "q_max": np.inf, "v_max": np.inf, "a_max": np.inf,
     "tau_max": np.inf, "damping": 0.0, "frictionloss": 0.0,
-    **dict.fromkeys(_SPRINGS, 0.0), "kp": np.nan, "kd": np.nan,
+    **dict.fromkeys(_LATER, 0.0), "kp": np.nan, "kd": np.nan,
 }  # fmt: skip
-_ROWS = {"ripple": 4, "falling": 3, "coupled": 5}  # numbers in a row
+_ROWS = {"ripple": 4, "falling": 3, "coupled": 5, "bristle": 5}  # numbers in a row
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -76,6 +79,11 @@ class Robot:
             [rad/s].
         coupled: Declared rotors that turn with the sum of two joints, shape (C, 5):
             both joints, inertia [kg·m²], damping [N·m·s/rad] and dry friction [N·m].
+        bristle: Declared friction of servos by bristles, shape (S, 5): joint, sliding
+            friction [N·m], static less sliding friction [N·m], v_s [rad/s], and bend of
+            the bristles that slide [rad]. Motors behind it have that friction; the
+            torque above is without it.
+        latency: Declared delay of commands, shape (n,), [s].
         held: Positions of joints outside the arm, [rad or m], if they differ from the
             file.
     """
@@ -102,6 +110,8 @@ class Robot:
     ripple: Array = field(default_factory=lambda: np.zeros((0, 4)))
     falling: Array = field(default_factory=lambda: np.zeros((0, 3)))
     coupled: Array = field(default_factory=lambda: np.zeros((0, 5)))
+    bristle: Array = field(default_factory=lambda: np.zeros((0, 5)))
+    latency: Array = field(default_factory=lambda: np.zeros(0))
     held: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -291,7 +301,7 @@ class Robot:
             own = {
                 name: _numbers(name, content[name], none=none or None)
                 for name, none in _VECTORS.items()
-                if name not in _SPRINGS or name in content  # older files have none
+                if name not in _LATER or name in content
             }
             own |= {
                 name: _numbers(name, content.get(name, [])).reshape(-1, width)

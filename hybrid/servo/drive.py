@@ -202,9 +202,16 @@ class Drive:
             "sign": np.ones(n),
             "quadratic": np.nan_to_num(robot.quadratic),
             "stiction": np.zeros(n),
+            "delay": robot.latency,
         }
         for j, level, speed in robot.falling:
             known["stiction"][int(j)], known["stribeck_speed"][int(j)] = level, speed
+        for j, coulomb, *shape in robot.bristle:
+            known["coulomb"][int(j)] = max(coulomb, little[int(j)])
+            for name, x in zip(
+                ("stiction", "stribeck_speed", "presliding"), shape, strict=True
+            ):
+                known[name][int(j)] = x
         values = [known.get(name, np.zeros(n)) for name in NAMES]
         return cls(np.array(values), stall)
 

@@ -200,13 +200,14 @@ def springs(robot: Robot, drive: Drive) -> tuple[Array, Array]:
 def bristles(drive: Drive, stretch: Stretch, first: Array, weight: Array) -> Array:
     """Bend of the bristles at the first sample, shape (n,), [rad].
 
-    A slow joint is at rest: friction balances servo and weight. A fast one slides.
+    A slow joint is at rest: friction balances the servo and the ``weight``, shape (n,),
+    [N·m], less the pull of springs and offset. A fast one slides.
     """
     off = first - stretch.q[0]
     pull = drive["stiffness"] * (
         off - np.clip(off, -drive["dead_band"], drive["dead_band"])
     )
-    rest = np.clip(pull, -drive["stall"], drive["stall"]) + drive["offset"] - weight
+    rest = np.clip(pull, -drive["stall"], drive["stall"]) - weight
     level = drive["coulomb"] + drive["load_friction"] * np.abs(weight)
     most = level + drive["stiction"]
     sliding = np.sign(stretch.v) * level

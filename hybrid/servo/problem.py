@@ -7,6 +7,13 @@ e is replayed less measured position; w and ρ are of :class:`hybrid.servo.noise
 A servo moves mainly its own joint. One replay therefore gives the derivative by one
 quantity at all joints, and each joint chooses its own step length. Masses and the like
 change all joints and are varied one by one. So are all parameters for the covariance.
+
+A law that is not quite that of the arm fits each log best by other parameters. The
+posterior does not know, and narrows with every log. To its covariance is added that
+between logs, by the pull of each on the parameters. A log that sets a parameter almost
+alone pulls little, since the fit follows it: pulls are scaled by this leverage (CR2).
+
+Source: Bell and McCaffrey 2002, Survey Methodology 28, 169 (leverage).
 """
 
 from __future__ import annotations
@@ -28,6 +35,7 @@ _ENDS = 5e-3  # relative decrease of the cost below which a fit ends
 _DAMPINGS = (0.01, 1.0, 100.0)  # Levenberg–Marquardt
 _LARGEST = 1.0  # step of a logarithm; of other values in prior deviations
 _LEAST = 1e-4  # rad: resolution of an encoder without visible steps
+_FEW = 3  # logs: of fewer, parts are compared
 _KEPT = 64 * 2**20  # bytes of replays in the cache
 _PROBE = np.array([q.probe for q in QUANTITIES])[:, None]
 SHARED = np.array([q.shared for q in QUANTITIES])
@@ -191,9 +199,34 @@ class Problem:
         return min([found, *ends], key=lambda x: float(self.cost(x, noise).sum()))
 
     def covariance(self, found: Estimate, noise: Noise) -> Array:
-        """Posterior covariance of the free parameters, shape (P, P)."""
-        matrix, _ = self.normal(found, self.slopes(found, each=True), noise)
-        return np.asarray(np.linalg.inv(matrix))
+        """Covariance of the free parameters, shape (P, P).
+
+        It is that of the posterior, and that between logs, or parts of one or two.
+        """
+        slopes = self.slopes(found, each=True)
+        matrix, gradient = self.normal(found, slopes, noise)
+        covariance = np.asarray(np.linalg.inv(matrix))
+        names: list[object] = [x.source for x in self.stretches]
+        if len(set(names)) < _FEW:
+            names = list(range(len(names)))
+        blocks = np.unique(np.array(names), return_inverse=True)[1]
+        count = int(blocks.max()) + 1
+        if count == 1:
+            return covariance
+        of = np.repeat(blocks, [len(x.q) for x in self.stretches])
+        root, weight = np.linalg.cholesky(covariance), noise.weights(found.errors)
+        between = np.zeros_like(covariance)
+        for k in range(count):
+            own = of == k
+            flat = slopes[:, own].reshape(len(slopes), -1)
+            weighed = flat * weight[own].ravel()
+            pull = weighed @ found.errors[own].ravel() - gradient / count
+            share, way = np.linalg.eigh(root.T @ weighed @ flat.T @ root)
+            # Of what one log alone knows, no other log says how it varies.
+            left = np.sqrt(np.maximum(1.0 - share, 1.0 / count))
+            moved = root @ way @ (way.T @ root.T @ pull / left)
+            between += np.outer(moved, moved)
+        return covariance + between
 
 
 def one_by_one(changes: Array, alone: NDArray[np.bool_]) -> list[Array]:

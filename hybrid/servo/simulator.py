@@ -67,6 +67,8 @@ class ServoSimulator:
             check_gpu()
             self.roll = GpuRollout(robot)
         self._declared = Drive.declared(robot)
+        # The file's own servos may have friction by bristles: these are ours.
+        self._file = self._declared if len(robot.bristle) else None
         self._models: dict[tuple[float, bytes], tuple[Any, Any]] = {}
 
     def with_step(self, step: float) -> ServoSimulator:
@@ -101,7 +103,7 @@ class ServoSimulator:
     ) -> list[Run]:
         """Prepare the replays of every stretch with each of some servos."""
         runs = []
-        for drive in drives:
+        for drive in (x or self._file for x in drives):
             models, own = dict[float, tuple[Any, Any]](), drive or self._declared
             for stretch in stretches:
                 parts = max(1, int(np.ceil(stretch.step / self._longest - _SPARE)))
@@ -155,7 +157,8 @@ class ServoSimulator:
         if drive is not None:
             data.qpos[own], data.qvel[own] = stretch.q[0], stretch.v
             mujoco.mj_forward(model, data)
-            down = data.qfrc_bias[own].copy()  # by gravity and speed
+            # By gravity and speed, less springs.
+            down = (data.qfrc_bias - data.qfrc_spring)[own]
             bent = bristles(drive, stretch, first, down)
             # The weight of the link presses it against one side of the gap.
             q[behind] = -np.sign(down[plays]) * drive["play"][plays]

@@ -73,7 +73,7 @@ def best_start(
     k·d, which is taken off the guessed damping.
     """
     least = _LEAST * guess["stiffness"]
-    tried = []
+    tried = [declared]
     for delay in _DELAYS:
         tried.append(declared.at(delay=delay))
         damping = np.maximum(guess["damping"] - guess["stiffness"] * delay, least)

@@ -60,19 +60,31 @@ class Stretch:
     def goals(self, delay: Array, pace: Array, parts: int) -> Array:
         """Goals of the servos at every physics step, shape (parts·(N − 1), n), [rad].
 
-        Each joint's command acts later by its delay, shape (n,), [s], and its goal
-        takes at least its pace, shape (n,), [s/rad]. Two samples are so many parts
-        apart.
+        A servo holds the last command that it received. Each joint's command acts later
+        by its delay, shape (n,), [s], and its goal takes at least its pace, shape (n,),
+        [s/rad]. Two samples are so many parts apart. A goal is the mean over its step,
+        which changes steadily with the delay.
         """
         sent, samples, step = self.sent, len(self.q), self.step / parts
-        logged = np.arange(samples - len(sent), samples) * self.step
-        steps, earlier = (samples - 1) * parts, (len(sent) - samples) * parts
+        steps, earlier = (samples - 1) * parts, len(sent) - samples
         out = np.empty((steps, sent.shape[1]))
         for j, (late, slow) in enumerate(zip(delay, pace, strict=True)):
-            first = -earlier if slow > 0 else 0
-            asked = np.interp(np.arange(first, steps) * step - late, logged, sent[:, j])
+            first = -earlier * parts if slow > 0 else 0
+            at = np.arange(first, steps) / parts - late / self.step + earlier
+            asked = _held(sent[:, j], at, parts)
             out[:, j] = (_slowed(asked, step / slow) if slow > 0 else asked)[-steps:]
         return out
+
+
+def _held(sent: Array, at: Array, parts: int) -> Array:
+    """Mean of held commands, shape (B,), over one of some parts of a sample.
+
+    The part starts at ``at``, shape (K,), in samples since the first.
+    """
+    k = np.floor(at).astype(int)
+    share = np.minimum((k + 1 - at) * parts, 1.0)
+    now, later = (sent[np.clip(i, 0, len(sent) - 1)] for i in (k, k + 1))
+    return np.asarray(share * now + (1.0 - share) * later)
 
 
 def _slowed(asked: Array, most: float) -> Array:
