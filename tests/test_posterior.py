@@ -339,6 +339,21 @@ def test_a_cause_has_to_help_on_recordings_that_were_not_learnt_from():
         assert (("coulomb", (0,)) in places(at)) == there
 
 
+@pytest.mark.parametrize("lasts", [True, False])
+def test_a_law_has_to_beat_its_simpler_one_on_recordings_kept_aside(lasts):
+    """Presliding of the first three recordings, and dry friction in the fourth."""
+    effects = BRISTLES, BRISTLES, BRISTLES, BRISTLES if lasts else RUBS
+    logs = [
+        with_torque(m, [e], NOISE, k)
+        for k, (m, e) in enumerate(zip(swings(), effects, strict=True))
+    ]
+    known = measure_gap(pendulum(), logs, cutoff=10.0)
+    library = "coulomb", "presliding"
+    at = Search(known, split(known), [x for x in effect_classes() if x not in library])
+    bristles = cause(at, BRISTLES)
+    assert (at.unseen_gain([bristles])[bristles] > 0) == lasts
+
+
 def test_a_cause_takes_the_place_of_a_large_error_of_the_file():
     """A file that is far off everywhere is less probable than one cause."""
     at = search(RUBS)

@@ -530,7 +530,7 @@ def test_springs_and_curves_of_a_file_are_identified_and_exported(tmp_path):
     declared = real.joint_torque(real.springref, np.array([0.0, 1.0]), np.zeros(2))
     np.testing.assert_allclose(friction, declared, atol=0.1)
     left = model_simulator(fit.model, kind="urdf").notes
-    assert [x.split()[0] for x in left].count("spring") == 2
+    assert not any(x.startswith("spring") for x in left)  # Gazebo has tags for them
 
 
 def test_a_refusal_names_the_file_or_else_the_arm(tmp_path):

@@ -295,22 +295,43 @@ def test_an_unseen_loss_is_scaled_to_the_training_samples():
     np.testing.assert_allclose(at.unseen_loss([]), [(4 * 40 + 6) / 2] * 1 + [123.0])
 
 
-def test_a_cause_helps_by_the_smaller_fall_of_both_losses():
+def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     at = Losses(noise=np.array([2.0]), count=np.array([20]))
-    losses = {"a": (5.0, 5.0), "": (9.0, 8.0), "ab": (2.0, 1.0), "b": (4.0, 4.5)}
+    losses = {"a": (5.0, 5.0), "": (9.0, 8.0), "x": (7.0, 5.5), "ab": (2.0, 1.0)}
+    losses |= {"b": (4.0, 4.5), "bx": (9.0, 9.0)}
     at.unseen_loss = lambda causes: np.array(losses[named(causes)])
+    at._simpler = lambda c, rest: [cause("x")] if c is A else []
     at.test = SimpleNamespace(tests=lambda c, causes: True)
-    assert at.unseen_gain([A]) == {A: 3.0} and at.unseen_gain([]) == {}
+    assert at.unseen_gain([A]) == {A: 0.5} and at.unseen_gain([]) == {}
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
     at.test.tests = lambda c, causes: False
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
     push, at.explains_its_time = cause("a", repeats="recording"), lambda c, _: c is push
     assert at.unseen_gain([push, B]) == {push: np.inf, B: 3.0}
-    at.explains_its_time = lambda c, causes: False
-    assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
+    at.explains_its_time = lambda c, causes: False  # nothing tells that it is there
+    assert at.unseen_gain([push, B]) == {push: 0.0, B: 3.0}
     at.explains_its_time = lambda c, causes: c is push
     at.test.tests = lambda c, causes: True
     assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
+
+
+def test_the_simpler_law_of_a_cause_is_made_unless_it_is_there():
+    at = Losses()
+    at.cause = lambda c: c.place
+    at.gap = measure_gap(pendulum(), swings(count=1), cutoff=10.0)
+
+    def law(becomes):
+        effect = SimpleNamespace(becomes=becomes)
+        return replace(A, candidate=SimpleNamespace(effect=effect, place=A.place))
+
+    soft = law(("distance", "lower", "coulomb"))
+    place = "coulomb", (0,)
+    assert at._simpler(soft, []) == [place] == at._simpler(soft, [])
+    there = replace(A, place=place)
+    assert at._simpler(soft, [there]) == []
+    assert at._simpler(law(None), []) == at._simpler(LAW, []) == []
+    assert at._simpler(law(("x", "lower", "")), []) == []
+    assert at._simpler(law(("x", "lower", "viscous")), []) == []  # left out
 
 
 def test_values_are_reported_for_a_twentieth_of_an_error_at_least():

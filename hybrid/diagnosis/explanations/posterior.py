@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from hybrid.arrays import Array, Index
-from hybrid.diagnosis.evidence.candidates import Candidate
+from hybrid.diagnosis.evidence.candidates import Candidate, candidate
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
 from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
 from hybrid.diagnosis.evidence.pool import Pool
@@ -35,6 +35,7 @@ from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.gap.measure import unseen_samples
 from hybrid.diagnosis.prior import Prior
+from hybrid.effects import effect_classes
 from hybrid.statistics import robust_std
 
 _RIPPLES = 9  # orders at each joint, in the regression that estimates the noise
@@ -255,18 +256,19 @@ class Posterior:
         """By how much each cause lowers :meth:`unseen_loss`, [nat].
 
         The smaller fall of both losses counts. All other causes are refitted without
-        it. Of an event that is not on the test samples they say nothing: infinite.
+        it, and the simpler law that it becomes may take its place. Of an event that is
+        not on the test samples they say nothing: it has to explain its time.
         """
         if not causes:
             return {}
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
         for c in causes:
-            event = self.explains_its_time(c, causes)
-            if event and not self.test.tests(c, causes):
-                gains[c] = np.inf
+            if c.is_event and not self.test.tests(c, causes):
+                gains[c] = np.inf if self.explains_its_time(c, causes) else 0.0
                 continue
             rest = [x for x in causes if x is not c]
-            gains[c] = float(np.min(self.unseen_loss(rest) - whole))
+            others = [rest, *([*rest, x] for x in self._simpler(c, rest))]
+            gains[c] = float(min(np.min(self.unseen_loss(x) - whole) for x in others))
         return gains
 
     @property
@@ -274,6 +276,17 @@ class Posterior:
         """Number of training samples over that of test samples."""
         unseen = max(self.test.evidence.count.sum(), 1)
         return float(self.evidence.count.sum() / unseen)
+
+    def _simpler(self, c: Cause, rest: Sequence[Cause]) -> list[Cause]:
+        """The simpler law that a cause becomes, unless it is among the rest."""
+        becomes = c.candidate.effect.becomes if c.candidate else None
+        if not becomes or not becomes[2] or becomes[2] in self.pool.without:
+            return []
+        place = becomes[2], c.place[1]
+        if any(x.place == place for x in rest):
+            return []
+        effect = effect_classes()[place[0]](place[1])
+        return [self.cause(candidate(self.gap, effect))]
 
     @cached_property
     def test(self) -> OtherSamples:
