@@ -19,6 +19,7 @@ from hybrid.robot.build import mujoco_spec, pinocchio_model
 from hybrid.robot.chain import Chain
 from hybrid.robot.read import read_robot
 from hybrid.robot.unmodelled import check_modelled
+from hybrid.shown import plain
 
 if TYPE_CHECKING:
     import pinocchio
@@ -277,9 +278,9 @@ class Robot:
             "name": self.name,
             "path": Path(self.path).name,
             "chain": {
-                f.name: _plain(getattr(self.chain, f.name)) for f in fields(Chain)
+                f.name: plain(getattr(self.chain, f.name)) for f in fields(Chain)
             },
-            **{name: _plain(getattr(self, name)) for name in _VECTORS},
+            **{name: plain(getattr(self, name)) for name in _VECTORS},
             **{name: getattr(self, name).tolist() for name in _ROWS},
             "timestep": None if np.isnan(self.timestep) else self.timestep,
             "held": dict(self.held),
@@ -326,14 +327,6 @@ class Robot:
         for values in (chain.rotation, chain.translation, chain.axis, chain.revolute):
             digest.update(np.round(values.astype(float), 9).tobytes())
         return digest.hexdigest()[:16]
-
-
-def _plain(values: Any) -> list[Any]:
-    """Lists for JSON, with ``None`` for what is not finite."""
-    found = np.array(values, dtype=object)
-    if isinstance(values, np.ndarray) and values.dtype == float:
-        found[~np.isfinite(values)] = None
-    return list(found.tolist())
 
 
 def _numbers(name: str, values: Any, *, none: float | None = None) -> Array:
