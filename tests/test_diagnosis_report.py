@@ -315,7 +315,7 @@ class TestVerdict:
     def test_it_says_what_where_and_how_far(self):
         lines = verdict_lines(planar().diagnosis)
         assert lines[0] == headline(planar().diagnosis)
-        assert lines[1].startswith("Explained: 2 effects account for all of the gap")
+        assert lines[1].startswith("Explained: 2 effects account for over 99% of")
         assert lines[2].startswith("RMS gap in N·m: shoulder 1.")
         assert lines[4].startswith(
             "On held-out motion, in N·m: repaired by all effects, unnamed ones too, "

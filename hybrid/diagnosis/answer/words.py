@@ -24,7 +24,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict of a diagnosis in a sentence."""
     count, explained = len(diagnosis.findings), 1.0 - diagnosis.unexplained
     effects = "one effect accounts" if count == 1 else f"{count} effects account"
-    part = "all" if explained >= 0.995 else f"{explained:.0%}"
+    part = "over 99%" if explained >= 0.995 else f"{explained:.0%}"
     return {
         "no_gap": "No gap: only noise is left, and the usual errors of robot files.",
         "explained": f"Explained: {effects} for {part} of the gap above noise.",
@@ -70,7 +70,7 @@ def _fits(diagnosis: Diagnosis) -> str:
 def _rest(diagnosis: Diagnosis) -> str:
     """The gap that is left, and the joint with most of it."""
     rest, unseen = diagnosis.unexplained, list(_unseen(diagnosis))
-    if rest < 0.005:
+    if rest < 0.005 and all(x["named"] <= ABOVE * x["noise"] for *_, x in unseen):
         return "noise is left"
     if not unseen:
         return f"{rest:.0%} of the gap is left"
