@@ -21,7 +21,7 @@ from hybrid.diagnosis.evidence.candidates import Candidate, candidate, usual
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise_model import estimate_noise
 from hybrid.diagnosis.gap.background import background, friction_near_rest
-from hybrid.diagnosis.gap.gap import LOWER_BAND, Columns, Gap
+from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.prior import Prior
 from hybrid.effects import Port, effect_at, effect_classes
@@ -29,6 +29,7 @@ from hybrid.identification.preparation import FEWEST_PERIODS
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
+from hybrid.signals.filters import LOWER_BAND
 
 _OPEN = 0.1  # s, prior standard deviation of a joint's own delay or step
 _LINEARITY = 0.1  # of a common time: error of columns that are linear in it

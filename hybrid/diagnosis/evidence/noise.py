@@ -14,8 +14,8 @@ from scipy import sparse
 from scipy.ndimage import uniform_filter1d
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.gap import LOWER_BAND
 from hybrid.signals import butterworth
+from hybrid.signals.filters import LOWER_BAND
 
 LAGS = 16  # largest lag of a noise covariance
 _UPPER_BAND = LOWER_BAND, 0.85  # of the cut-off

@@ -16,7 +16,8 @@ from hybrid.diagnosis.explanations.joint_laws import (
     low_passed,
     smooth_features,
 )
-from hybrid.diagnosis.gap.gap import LOWER_BAND, Columns, Gap
+from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.signals.filters import LOWER_BAND
 
 _KNOTS = 8
 

@@ -13,8 +13,7 @@ from hybrid.effects import Effect, Scale
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
-from hybrid.signals.filters import LOWER_BAND as LOWER_BAND
-from hybrid.signals.filters import butterworth
+from hybrid.signals.filters import LOWER_BAND, butterworth
 
 Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 

@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter1d
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.faults import Faults, find_faults
-from hybrid.diagnosis.gap.gap import LOWER_BAND, Gap
+from hybrid.diagnosis.gap.gap import Gap
 from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.errors import RecordingError
 from hybrid.identification.preparation import (
@@ -22,7 +22,7 @@ from hybrid.identification.preparation import (
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
-from hybrid.signals.filters import butterworth, filter_reach, passes_all
+from hybrid.signals.filters import LOWER_BAND, butterworth, filter_reach, passes_all
 from hybrid.statistics import robust_std
 
 _REST = 0.7  # periods of the cut-off, reach of declared dry friction near rest
