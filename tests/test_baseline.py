@@ -1,12 +1,14 @@
 """What has changed since an arm was healthy, by its own model."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from arms import MODELS
 
 from hybrid.cli import main
 from hybrid.diagnosis.diagnose import examine
+from hybrid.diagnosis.gap.baseline import Baseline
 from hybrid.effects import effect_class
 from hybrid.identification import identify
 from hybrid.plant import Noise, Plant, simulate
@@ -33,10 +35,33 @@ def model():
     return identify(ROBOT, logs(), stages=("friction",)).model
 
 
+def test_what_the_model_could_not_have_had_may_be_no_change(model):
+    """Of a real TX40, own logs show the ripple and the delay that new ones show."""
+
+    def doubted(kind, *joints, **values):
+        return Baseline(model).doubts([effect_class(kind)(joints, values)])
+
+    for kind in ("coulomb", "viscous", "stribeck", "load_friction"):
+        assert doubted(kind, 0) == [], kind
+    both = range(ROBOT.size)
+    assert doubted("payload", *both, mass=1.0) == []
+    assert doubted("gravity_tilt", *both, roll=0.1) == []
+    assert doubted("contact", *both) == []
+    for kind in ("delay", "elasticity", "torque_ripple", "presliding", "torque_gain"):
+        (text,) = doubted(kind, 0)
+        assert text.startswith(f"the model has no {kind.replace('_', ' ')}: it may")
+    knows = replace(model, effects=(effect_class("spring")((0,)),))
+    spring = effect_class("spring")
+    assert Baseline(knows).doubts([spring((0,))]) == []
+    assert Baseline(knows).doubts([spring((1,)), spring((0,))])
+
+
 def test_friction_that_grew_is_told_by_as_much_as_it_grew(model):
     grown = 0.6 * HEALTHY[0].values["level"]
     worn = effect_class("coulomb")((0,), {"level": grown})
-    (finding,) = examine(model, logs([worn], seed=3)).diagnosis.findings
+    diagnosis = examine(model, logs([worn], seed=3)).diagnosis
+    (finding,), doubts = diagnosis.findings, diagnosis.doubts
+    assert not doubts
     assert "coulomb" in finding.alternatives and finding.joints == (ROBOT.joints[0],)
     (level,) = finding.parameters[:1]
     low, high = level.interval
