@@ -68,6 +68,16 @@ def test_friction_that_grew_is_told_by_as_much_as_it_grew(model):
     assert low <= grown <= high
 
 
+@pytest.mark.parametrize("gain", [-0.13, 0.1])
+def test_a_drive_that_gives_less_has_its_size_with_the_healthy_friction(model, gain):
+    """The log shows a share of all torque, of the friction in the model as well."""
+    weak = effect_class("torque_gain")((1,), {"gain": gain})
+    (finding,) = examine(model, logs([weak], seed=4)).diagnosis.findings
+    assert (finding.effect, finding.joints) == ("torque_gain", ROBOT.joints[1:])
+    low, high = finding.parameters[0].interval
+    assert low <= gain <= high
+
+
 def test_an_arm_that_has_not_changed_has_no_gap_for_the_command(
     model, tmp_path, capsys
 ):

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.dynamics import RigidBody, simulated_torque
@@ -58,8 +56,7 @@ class Baseline:
 
     def with_subtracted(self, gap: Gap) -> Gap:
         """A gap that knows the subtracted torque, which may be slightly wrong."""
-        parts = [sampler(self._torque(motion)) for motion, _, sampler in gap]
-        return replace(gap, subtracted=np.concatenate(parts))
+        return replace(gap, healthy=tuple(map(self._torque, gap.motions)))
 
     def doubts(self, found: Sequence[Effect]) -> list[str]:
         """What may be no change: effects that the model could not have had before."""
