@@ -379,11 +379,11 @@ def test_an_eccentric_encoder_shows_its_error_and_takes_it_back_to_the_last_digi
 
 def test_a_push_lasts_from_its_start_for_its_duration_in_its_recording():
     values = {"force_x": 2.0, "moment_z": -3.0, "start": 1.0, "duration": 0.5}
-    law = effect("contact", 0, **values)
-    for t, there in ((0.999, 0), (1.0, 1), (1.499, 1), (1.5, 0)):
-        np.testing.assert_array_equal(
-            law.push(t), there * np.array([2, 0, 0, 0, 0, -3])
-        )
+    t, there = np.array([0.999, 1.0, 1.499, 1.5]), np.array([0, 1, 1, 0])
+    for recording, number in ((-1, 7), (2, 2), (2, 0)):
+        law = effect("contact", 0, **values, recording=recording)
+        push = np.outer(there * (recording in (-1, number)), [2, 0, 0, 0, 0, -3])
+        np.testing.assert_array_equal(law.push(t, np.full(4, number)), push)
     robot = random_arm(3)
     motion = replace(motion_of(robot, 300), number=2)
     joints = range(robot.size)

@@ -41,6 +41,7 @@ from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.signals import Motion
+from hybrid.signals.filters import LOWER_BAND
 
 STRICT = (
     "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion",
@@ -318,6 +319,31 @@ def test_a_leading_drive_is_ahead_by_its_time_constant(tmp_path):
     # The difference looks back by half a step.
     slope = np.diff(rigid) / 0.001
     np.testing.assert_allclose(lead[1:], rigid[1:] + 0.02 * slope, rtol=1e-9)
+
+
+def test_a_leading_drive_shows_no_noise_that_no_fit_has_seen():
+    """Its lead of a noisy torque is bounded, as a prediction is, and right below it."""
+    robot, cutoff, time, step = public_arm("ur10"), 10.0, 0.02, 0.001
+    rng, t = np.random.default_rng(0), np.arange(4000) * 0.001
+    at_rest = np.zeros((len(t), 6))
+    noise = rng.normal(size=at_rest.shape)
+
+    def along(program, a):
+        memory, found = None, []
+        for x in a[:, None]:
+            tau, memory = program.run(x * 0, x * 0, x, memory=memory, step=step)
+            found.append(tau[0, 1])
+        return np.array(found)
+
+    model = replace(model_of(robot, [ActuatorLag((1,), {"time": time})]), cutoff=cutoff)
+    led, plain = (program_from_model(x) for x in (model, model_of(robot)))
+    most = 1.0 + time * 2 * np.pi * LOWER_BAND * cutoff
+    assert along(led, noise).std() < most * along(plain, noise).std()
+    slow = np.outer(np.sin(2 * np.pi * 0.5 * t), np.ones(6))
+    motion = Motion(t, at_rest, at_rest, slow, at_rest, np.ones(len(t), bool))
+    expected, moved = model.predict(motion)[:, 1], along(plain, slow)
+    error = (along(led, slow) - expected)[500:-500]
+    assert np.abs(error).max() < 0.15 * np.abs(expected - moved)[500:-500].max()
 
 
 def test_c_refuses_numbers_that_are_not_finite(folders):

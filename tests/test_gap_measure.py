@@ -1,5 +1,7 @@
 """Which samples of a gap count, in which units it is, and whether they suffice."""
 
+import gc
+import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -13,6 +15,7 @@ from hybrid.diagnosis.gap.background import (
     background,
     dry_friction,
     friction_near_rest,
+    sampling_delays,
     soft_friction,
 )
 from hybrid.diagnosis.gap.coverage import not_excited, too_little_motion
@@ -469,6 +472,17 @@ def test_a_link_moves_the_joints_before_it_and_its_own():
         exact = [s(b.load[:, i]) for _, b, s in gap.lower_band]
         np.testing.assert_allclose(torque, np.concatenate(exact), atol=1e-9)
     assert all(len(x) == 10 for x in sizes[:3]) and len(sizes) == len(blocks) == 6
+
+
+def test_a_background_is_made_once_and_goes_with_its_gap():
+    gap, other = gap_of(seconds=2.0), gap_of(seconds=2.0)
+    for of in (background, friction_near_rest, sampling_delays):
+        first = of(gap)
+        assert of(other) is not first and of(gap) is first
+    gone, first = weakref.ref(gap), None
+    del gap
+    gc.collect()
+    assert gone() is None
 
 
 def test_a_heavier_link_is_a_rotor_of_a_single_joint():

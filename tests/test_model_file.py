@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.effects import Scale
+from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ModelFileError, RobotError
@@ -318,13 +319,27 @@ def test_an_arm_has_ten_parameters_of_each_link_and_more(saved):
             model_file._base(robot, content)
 
 
+def test_a_slow_log_may_show_more_friction_than_fast_joints_have(tmp_path):
+    """A robot file often states a speed that the arm never has."""
+    robot = replace(some_model().robot, v_max=np.full(2, 10.0))
+    drag = NonlinearViscous((0,), {"cubic": 1000 * robot.tau_max[0] / 10.0**3})
+    slow = replace(
+        some_model(), robot=robot, effects=(drag,), simpler={}, remainder=None
+    )
+    path = tmp_path / "model.json"
+    with pytest.raises(ModelFileError, match="not saved, nonlinear_viscous: cubic is"):
+        replace(slow, range={}).save(path)
+    slow.save(path)
+    assert DynamicModel.load(path).effects == (drag,)
+
+
 @pytest.mark.parametrize("share", [0.9995, 1.0005])
 def test_a_parameter_is_within_a_thousand_times_its_largest_plausible_value(
     saved, share
 ):
     model = some_model()
     scale = joint_scales(model.robot)[0]
-    scale = Scale(max(scale.torque, 1.0), max(scale.speed, 1.0))
+    scale = Scale(max(scale.torque, 1.0), 1.0)  # 1 rad/s is the fastest seen
     most = 1000.0 * Viscous.gains[0].scaled(scale).upper
     keys = ("effects", 0, "values", "coefficient")
     change_json(saved, keys, share * most)

@@ -496,6 +496,15 @@ def test_a_contact_pushes_for_its_time_only(pendulum):
     assert 0.4 <= first < 0.41
 
 
+def test_a_contact_in_one_recording_leaves_the_others_alone(pendulum):
+    values = {"moment_y": 2.0, "start": 0.4, "duration": 0.3, "recording": 1}
+    held = [hold([0.0])] * 3
+    logs = run(pendulum, [effect("contact", **values)], held)
+    plain = run(pendulum, [], held)
+    changed = [np.abs(x.tau - y.tau).max() for x, y in zip(logs, plain, strict=True)]
+    assert changed[1] > 1.0 and max(changed[0], changed[2]) < 1e-9
+
+
 def test_a_tilted_base_turns_gravity(pendulum):
     pitch = effect("gravity_tilt", pitch=0.1)
     (log,) = run(pendulum, [pitch], [hold([0.0])])

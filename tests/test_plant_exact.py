@@ -222,6 +222,28 @@ def test_a_replay_under_the_torque_of_a_motion_is_that_motion(effects):
         assert (off < 0.02 * moved + 1e-3).all(), off
 
 
+@pytest.mark.parametrize(
+    ("values", "pushed"),
+    [
+        ({"start": 0.0}, [True, False, False]),
+        ({"start": 0.5}, [False, True, False]),
+        ({"start": 0.5, "recording": 4}, [False] * 3),
+        ({"start": 1.3, "recording": 5}, [False, False, True]),
+        ({"start": 0.0, "recording": 5}, [False] * 3),
+    ],
+)
+def test_a_replay_is_pushed_at_its_own_time_and_in_its_own_recording(values, pushed):
+    logs = swings(1, count=2, seconds=2.0, widest=0.3)
+    logs = [replace(m, number=4 + k) for k, m in enumerate(logs)]
+    push = Contact((0,), {"moment_y": 5.0, "duration": 0.1} | values)
+    with_it, without = (
+        rollout(pendulum(1), effects, logs, WINDOWS, step=0.002)
+        for effects in ([push], [])
+    )
+    moved = np.abs(with_it - without).max(axis=(0, 2)) > 1e-4
+    np.testing.assert_array_equal(moved, pushed)
+
+
 def test_a_replay_that_runs_away_ends_and_others_go_on():
     robot, (m,) = pendulum(1), swings(1, count=1, seconds=1.0)
     wild = replace(m, tau=m.tau + 2e4)

@@ -244,7 +244,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
             *events_at_rest(case.as_logged),
         ),
         warnings=(*gap.notes, *logged.notes),
-        doubts=tuple(doubts),
+        doubts=(*doubts, *(case.healthy.doubts(effects) if case.healthy else ())),
         unlike=case.unlike.short,
     )
     healthy = case.healthy.model.effects if case.healthy else ()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects import Body, Effect, Port, Quantity
 from hybrid.signals import Motion
 
@@ -37,14 +37,12 @@ class Contact(Effect):
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, n, 6)."""
-        touching = self._touching(motion.t)
-        if self.values["recording"] not in (-1.0, motion.number):
-            touching = np.zeros_like(touching)
+        touching = self._touching(motion.t, motion.number)
         return touching[:, None, None] * body.wrench_columns(self.joints[-1])
 
-    def push(self, t: float) -> Array:
-        """Force and moment during the contact, zero otherwise, shape (6,)."""
-        return self._touching(np.array([t])) * self.gain_values
+    def push(self, t: Array, recording: Index) -> Array:
+        """Force and moment during the contact, zero otherwise, shape (B, 6)."""
+        return self._touching(t, recording)[:, None] * self.gain_values
 
     def excludes(self, other: Effect) -> bool:
         """See :meth:`Effect.excludes`; the arm touches one thing at a time."""
@@ -56,6 +54,7 @@ class Contact(Effect):
         ends = (x["start"] + x["duration"] for x in (here, there))
         return len(both) < 2 and latest < min(ends)
 
-    def _touching(self, t: Array) -> Array:
-        start, duration = self.values["start"], self.values["duration"]
-        return np.where((t >= start) & (t < start + duration), 1.0, 0.0)
+    def _touching(self, t: Array, recording: Index | int) -> Array:
+        start, duration, own = self.shape_values.values()
+        here = (t >= start) & (t < start + duration)
+        return np.where(here & ((own == -1.0) | (recording == own)), 1.0, 0.0)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects.state import JointState
 from hybrid.errors import EffectError
 
@@ -61,12 +61,13 @@ class InPlant:
         """
         return np.zeros_like(before)
 
-    def push(self, t: float) -> Array:
-        """Force and moment of the last link on its environment at a time, shape (6,).
+    def push(self, t: Array, recording: Index) -> Array:
+        """Force and moment of the last link on its environment, shape (B, 6).
 
-        In the base frame; the moment is about the origin of the link's frame.
+        In the base frame; the moment is about the origin of the link's frame. Each
+        trajectory has a time, shape (B,), [s], and the number of its recording.
         """
-        return np.zeros(6)
+        return np.zeros((len(t), 6))
 
     def sense(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Position and speed that the encoders show for the true ones; shape (B, k)."""

@@ -16,7 +16,12 @@ from hybrid.dynamics import BaseParameters, RigidBody
 from hybrid.effects import Effect
 from hybrid.errors import ModelFileError
 from hybrid.model.model_file import read_model, write_model
-from hybrid.model.program import Program, is_instant, program_from_model
+from hybrid.model.program import (
+    Program,
+    is_instant,
+    program_from_model,
+    shows_noise,
+)
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 from hybrid.signals.filters import LOWER_BAND, butterworth
@@ -107,12 +112,8 @@ class DynamicModel:
         return tau
 
     def _known(self, effect: Effect, motion: Motion, torque: Array) -> Array:
-        """Torque from which an effect makes its change, shape (N, k), [N·m].
-
-        Positions are noisy up to twice the cut-off: a drive's law that differentiates
-        their torque would show the noise of a third derivative, which no fit has seen.
-        """
-        if not (effect.differentiates and effect.actuator) or len(motion.t) < 2:
+        """Torque from which an effect makes its change, shape (N, k), [N·m]."""
+        if not shows_noise(effect) or len(motion.t) < 2:
             return torque
         return butterworth(torque, rate=motion.rate, cutoff=LOWER_BAND * self.cutoff)
 

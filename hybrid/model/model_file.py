@@ -158,15 +158,16 @@ def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel
     if cutoff is not None and not 0 < _real(cutoff) < np.inf:
         raise ModelFileError(f"cutoff is {cutoff}, valid is a number above 0 or none")
     links, standing = content["inertial"], content["standing"]
-    base = _base(robot, content["base"])
+    base, seen = _base(robot, content["base"]), _range(content["range"], n)
+    fastest = seen.get("v_max", np.zeros(n))
     return kind(
         robot=robot,
         base=base,
-        effects=tuple(_effect(e, robot) for e in content["effects"]),
+        effects=tuple(_effect(e, robot, fastest) for e in content["effects"]),
         remainder=remainder,
         cutoff=np.inf if cutoff is None else cutoff,
         standing=_array("standing", standing, (n,) if standing else (0,), lowest=0.0),
-        range=_range(content["range"], n),
+        range=seen,
         inertial=None if links is None else _array("inertial", links, (n, 10)),
         covariance=_covariance(content, base.size),
     )
@@ -206,15 +207,23 @@ def _base(robot: Robot, content: Any) -> BaseParameters:
     return BaseParameters(labels, units, kept, mapping, values)
 
 
-def _effect(content: Any, robot: Robot) -> Effect:
+def _effect(content: Any, robot: Robot, fastest: Array) -> Effect:
+    """An effect whose values are plausible at the arm's speeds.
+
+    A fit finds them at speeds up to the fastest in its data, shape (n,), [rad/s], which
+    may be far below those of the robot file.
+    """
     for x in (*content["values"].values(), *content["std"].values()):
         _real(x)
     effect = effect_from_dict(content, robot.joints)
     if not all(0 <= x < np.inf for x in effect.std.values()):
         raise ModelFileError(f"{effect.id}: std is {dict(effect.std)}")
-    scales = [Scale(max(x.torque, 1.0), max(x.speed, 1.0)) for x in joint_scales(robot)]
+    scales = [
+        [Scale(max(x.torque, 1.0), s) for s in (max(x.speed, 1.0), v) if s > 0]
+        for x, v in zip(joint_scales(robot), fastest.tolist(), strict=True)
+    ]
     for quantity in (*effect.gains, *effect.shapes):
-        sized = [quantity.scaled(scales[j]) for j in effect.joints]
+        sized = [quantity.scaled(x) for j in effect.joints for x in scales[j]]
         most = _FARTHEST * max(abs(x) for q in sized for x in (q.lower, q.upper))
         if abs(effect.values[quantity.name]) > most:
             raise ModelFileError(

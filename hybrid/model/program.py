@@ -16,6 +16,7 @@ from hybrid.dynamics.newton_euler import newton_euler
 from hybrid.dynamics.tape import Tape
 from hybrid.effects import Effect, JointState
 from hybrid.errors import EffectError, HybridError
+from hybrid.signals.filters import LOWER_BAND
 
 if TYPE_CHECKING:
     from hybrid.model.dynamic_model import DynamicModel
@@ -129,9 +130,14 @@ def program_from_model(model: DynamicModel) -> Program:
         if effect.reports or effect.asks:
             own = [states[j] for j in effect.joints]
             given = [torque[j] for j in effect.joints]
+            rest = [0.0] * len(given)
+            if shows_noise(effect) and np.isfinite(model.cutoff):
+                smooth = [memory.smoothed(effect, x, model.cutoff) for x in given]
+                rest = [x - y for x, y in zip(given, smooth, strict=True)]
+                given = smooth
             values = memory.run(effect.report_at_instant, effect, own, given)
-            for j, x in zip(effect.joints, values, strict=True):
-                torque[j] = x
+            for j, x, y in zip(effect.joints, values, rest, strict=True):
+                torque[j] = x + y
     learned = model.remainder or ArmRemainder(n, ())
     mean, variance = learned.at_instant(q, v)
     torque = [x + y for x, y in zip(torque, mean, strict=True)]
@@ -139,6 +145,15 @@ def program_from_model(model: DynamicModel) -> Program:
         robot.joints, tape, tuple(torque), tuple(variance), tuple(memory.now),
         tuple(memory.names), tuple(left_out),
     )  # fmt: skip
+
+
+def shows_noise(effect: Effect) -> bool:
+    """Whether an effect adds a derivative of the torque to it, as a drive's lag does.
+
+    Positions are noisy up to twice the cut-off: such a law would show the noise of a
+    third derivative, which no fit has seen.
+    """
+    return effect.reports and effect.differentiates and bool(effect.actuator)
 
 
 def is_instant(model: DynamicModel, effect: Effect) -> bool:
@@ -208,6 +223,25 @@ class _Memory:
         values, now = _traced(law, effect, given, before, step)
         self.now[first : first + len(now)] = now
         return values  # type: ignore[no-any-return]
+
+    def smoothed(self, effect: Effect, now: Any, cutoff: float) -> Any:
+        """A torque up to the lower half of a cut-off, [Hz], by a filter of first order.
+
+        It has only the past: it lets more pass than that of whole motions, and later.
+        """
+        where = "+".join(str(j + 1) for j in effect.joints)
+        past = []
+        for name in ("torque", "smoothed"):
+            kept = self.tape.input(f"memory[{len(self.names)}]")
+            known = self.tape.input("known") > 0.5
+            past.append(self.tape.apply("where", known, kept, now))
+            self.names.append(f"{effect.id} {where}: {name}")
+            self.now.append(0.0)
+        before, smooth = past
+        step, time = self.tape.input("step"), 1.0 / (2 * np.pi * LOWER_BAND * cutoff)
+        smooth = smooth + step / (step + 2 * time) * (now + before - 2.0 * smooth)
+        self.now[-2:] = now, smooth
+        return smooth
 
 
 def _traced(law: Any, effect: Effect, *given: Any) -> Any:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, drives, overrides
@@ -27,6 +27,7 @@ class Lockstep:
         a: Motor acceleration of the last step, shape (B, n), [rad/s²].
         load: Torque transmitted to the links in the last step, shape (B, n), [N·m].
         temperature: Temperature of the drives, shape (B, n), [°C], where it is known.
+        recordings: Number of each trajectory's recording, shape (B,).
     """
 
     temperature: Array | None = None
@@ -40,6 +41,7 @@ class Lockstep:
         self._advance = mujoco.mj_step
         self._arm = arm
         batch, n = start.shape
+        self.recordings: Index = np.arange(batch)
         self._laws = Laws(effects, batch, n)
         self._drives = [(e, e.actuator.get("lag", 0.0)) for e in effects if drives(e)]
         self._pushing = [e for e in effects if overrides(e, "push")]
@@ -137,9 +139,9 @@ class Lockstep:
 
     def _push(self) -> None:
         """Apply the forces of the environment to the last link."""
-        tip, now = self._arm.tip, self._datas[0].time
-        wrench = -np.sum([e.push(now) for e in self._pushing], axis=0)
-        for data in self._datas:
+        tip, where = self._arm.tip, (self._now, self.recordings)
+        wrenches = -np.sum([e.push(*where) for e in self._pushing], axis=0)
+        for data, wrench in zip(self._datas, wrenches, strict=True):
             data.xfrc_applied[tip] = wrench
             if wrench.any():  # MuJoCo needs the moment about the centre of mass
                 lever = data.xpos[tip] - data.xipos[tip]
@@ -153,7 +155,7 @@ class Lockstep:
         if not sign.all():
             push = np.where(self._net_torque < 0.0, -1.0, 1.0)
             sign = np.where(self.v == 0.0, push, sign)
-        self._time.fill(self._datas[0].time)
+        self._time[:] = self._now[:, None]
         warm = self.temperature
         motor = JointState(self._time, self.q, self.v, self.a, sign, self.load, warm)
         elastic = self._arm.elastic
@@ -183,6 +185,11 @@ class Lockstep:
             # With a spring or backlash, the load is the torque that these transmit.
             passive, stop = all_dofs[2:, :, arm.deflection]
             self.load[:, arm.elastic] = passive + stop
+
+    @property
+    def _now(self) -> Array:
+        """Time of each trajectory, shape (B,), [s]."""
+        return np.array([data.time for data in self._datas])
 
     def _views(self, *names: str) -> list[Array]:
         """Vectors in MuJoCo's memory, those of all trajectories name by name."""

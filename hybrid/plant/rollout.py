@@ -114,6 +114,7 @@ class _FreeTrajectories(Lockstep):
         t, q, v, a = map(first, ("t", "q", "v", "a"))
         self.diverged = np.zeros(len(q), dtype=bool)
         super().__init__(arm, effects, q)
+        self.recordings = np.array([motions[m].number for m in windows.motion])
         # The semi-implicit step has the speed half a step before the position.
         v = v - arm.model.opt.timestep / 2 * a
         deflections = _deflections(arm, effects, pairs, windows)

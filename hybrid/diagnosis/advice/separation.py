@@ -227,5 +227,5 @@ def joined(one: Gap, other: Gap) -> Gap:
         moving=np.concatenate([one.moving, other.moving]),
         fold=np.concatenate([one.fold, other.fold]),
         trajectory=np.concatenate([one.trajectory, later]),
-        subtracted=None,
+        healthy=(),
     )

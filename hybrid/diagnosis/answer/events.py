@@ -15,7 +15,8 @@ _AT_REST = 0.01  # rad/s or m/s
 _SIGNIFICANT = 8.0  # standard deviations of the holding torque
 _LEAST = 0.01  # of the rated torque
 _SAME_POSTURE = 0.02  # rad or m, between two samples at rest
-_SHORTEST, _PAUSE = 0.05, 0.2  # s, of an event, and between two events
+_SHORTEST = 0.05  # s, of an event
+_PAUSE = 0.2  # s, between two events, and from a stop to one
 _LEAST_REST = 1.0  # s at rest, to estimate the holding torque
 
 
@@ -87,7 +88,10 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
 
 
 def _pushes(gap: Gap, rows: Index, push: Array) -> Iterator[Event]:
-    """Pushes at some samples of a recording, at rest in one posture."""
+    """Pushes at some samples of a recording, at rest in one posture.
+
+    A drive's torque settles for some time after a stop, which is no push.
+    """
     if len(rows) < _LEAST_REST * gap.rate:
         return
     number = int(gap.trajectory[rows[0]])
@@ -96,8 +100,11 @@ def _pushes(gap: Gap, rows: Index, push: Array) -> Iterator[Event]:
     least = np.maximum(_SIGNIFICANT * robust_std(x), _LEAST * rated)
     at = np.flatnonzero(np.any(np.abs(x) > least, axis=1))
     ends = np.flatnonzero(np.diff(rows[at]) > _PAUSE * gap.rate) + 1
+    stops = np.flatnonzero(np.diff(rows, prepend=-2) > 1)
     for own in np.split(at, ends):
         if len(own) < max(_SHORTEST * gap.rate, 2):
+            continue
+        if own[0] - stops[stops <= own[0]].max() < _PAUSE * gap.rate:
             continue
         torque, t = x[own].mean(axis=0), gap.sampled.t[rows[own]].tolist()
         columns = push[rows[own]].mean(axis=0)

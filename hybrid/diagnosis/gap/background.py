@@ -4,8 +4,9 @@ They are errors of the numbers of the robot file, the shape of dry friction near
 and the time between two samples.
 """
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import wraps
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,12 +16,26 @@ from hybrid.effects import Port, effect_at, effect_classes
 from hybrid.model.declared import declared_effects
 from hybrid.robot.spatial import link_spread
 
+_Blocks = tuple[list[Columns], list[Array]]
 _KNEES = (0.003, 0.01, 0.017, 0.03)  # rad/s, speed of full friction
 _LEADS = (0.0, 0.01)  # s, time by which a solver reverses friction early
 
 
-@lru_cache(maxsize=1)  # the training and the test samples share them
-def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
+def _once(function: Callable[[Gap], _Blocks]) -> Callable[[Gap], _Blocks]:
+    """A function that is evaluated once for each gap, and kept as long as the gap."""
+    known: WeakKeyDictionary[Gap, _Blocks] = WeakKeyDictionary()
+
+    @wraps(function)
+    def of(gap: Gap) -> _Blocks:
+        if gap not in known:
+            known[gap] = function(gap)
+        return known[gap]
+
+    return of
+
+
+@_once  # the training and the test samples share them
+def background(gap: Gap) -> _Blocks:
     """Columns of the numbers of the robot file, and the size of each number.
 
     A block has ten columns for each link, and there is one of a column for each rotor,
@@ -46,8 +61,8 @@ def background(gap: Gap) -> tuple[list[Columns], list[Array]]:
     return blocks, sizes
 
 
-@lru_cache(maxsize=1)  # the training and the test samples share them
-def friction_near_rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
+@_once  # the training and the test samples share them
+def friction_near_rest(gap: Gap) -> _Blocks:
     """Columns of soft dry friction near rest, and the size of each gain.
 
     Arms and solvers differ in the speed at which dry friction is full.
@@ -59,8 +74,8 @@ def friction_near_rest(gap: Gap) -> tuple[list[Columns], list[Array]]:
     return blocks, sizes
 
 
-@lru_cache(maxsize=1)  # the training and the test samples share them
-def sampling_delays(gap: Gap) -> tuple[list[Columns], list[Array]]:
+@_once  # the training and the test samples share them
+def sampling_delays(gap: Gap) -> _Blocks:
     """Columns of torque read between two samples, and standard deviations of gains.
 
     No log says when torque was read within a sample: its time is uniform over one.

@@ -4,17 +4,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.dynamics import RigidBody, simulated_torque
-from hybrid.effects import effect_classes
+from hybrid.effects import Effect, effect_classes
+from hybrid.effects.instant import FRICTION
 from hybrid.identification.preparation import motions_from_logs
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
+
+_LACKS = (
+    "the model has no {}: it may always have lacked it. Diagnose other logs of the "
+    "healthy arm against it: what is found there, too, has not changed"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +56,26 @@ class Baseline:
 
     def with_subtracted(self, gap: Gap) -> Gap:
         """A gap that knows the subtracted torque, which may be slightly wrong."""
-        parts = [sampler(self._torque(motion)) for motion, _, sampler in gap]
-        return replace(gap, subtracted=np.concatenate(parts))
+        return replace(gap, healthy=tuple(map(self._torque, gap.motions)))
+
+    def doubts(self, found: Sequence[Effect]) -> list[str]:
+        """What may be no change: effects that the model could not have had before."""
+        lacks = [e.id.replace("_", " ") for e in found if not self._could_have(e)]
+        return [_LACKS.format(", ".join(dict.fromkeys(lacks)))] if lacks else []
+
+    def _could_have(self, effect: Effect) -> bool:
+        """Whether the model, or its fit, has a term for what an effect does.
+
+        Links take what a payload or a tilt does, friction terms what friction does. Of
+        ripples it has the strongest, and a contact happens once.
+        """
+        rigid = effect.rigid_change(self.robot.size, self.robot.chain.gravity)
+        fields = set(effect.fields.values())
+        drag = bool(fields) and fields <= {*FRICTION} and not effect.memory
+        own = [(e.id, e.joints) for e in self.model.effects if e.repeats != "joint"]
+        once = effect.repeats == "recording"
+        known = (effect.id, effect.joints) in own
+        return rigid is not None or drag or once or known
 
     def _torque(self, motion: Motion) -> Array:
         """Torque of the model's effects and remainder, shape (N, n), [N·m]."""

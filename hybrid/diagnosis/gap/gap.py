@@ -44,8 +44,8 @@ class Gap:
             What acts in one trajectory only is in several folds.
         trajectory: Recording of each sample, shape (M,).
         notes: Which samples are not used, and why, in words.
-        subtracted: Torque that was subtracted from the logs before, shape (M, n),
-            [N·m].
+        healthy: Torque of a healthy arm that was subtracted from the logs before, along
+            each motion, shape (N, n), [N·m]; empty without one.
     """
 
     robot: Robot
@@ -58,7 +58,7 @@ class Gap:
     fold: NDArray[np.intp]
     trajectory: NDArray[np.intp]
     notes: tuple[str, ...] = ()
-    subtracted: Array | None = None
+    healthy: tuple[Array, ...] = ()
     _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 
     @property
@@ -99,6 +99,12 @@ class Gap:
     def measured(self) -> Array:
         """Measured torque, filtered as the gap is, shape (M, n), [N·m]."""
         return np.concatenate([sampler(m.tau) for m, _, sampler in self]) + self.left
+
+    @cached_property
+    def subtracted(self) -> Array | None:
+        """Torque of the healthy arm, filtered as the gap is, (M, n), [N·m], or None."""
+        parts = [s(x) for s, x in zip(self.samplers, self.healthy, strict=False)]
+        return np.concatenate(parts) if parts else None
 
     @cached_property
     def load(self) -> Array:
@@ -142,8 +148,9 @@ class Gap:
         if lower_band is None:
             lower_band = effect.differentiates or self.is_above_band(effect)
         parts = []
+        whole = self.reported if effect.reports else self
         lower = self.lower_band_reported if effect.reports else self.lower_band
-        for motion, body, sampler in lower if lower_band else self:
+        for motion, body, sampler in lower if lower_band else whole:
             columns = self._first(effect, motion, body)
             if effect.linearised and gains.any():
                 rest = self._change(effect, motion, body) - columns @ gains
@@ -190,6 +197,14 @@ class Gap:
         return (tau - motion.tau)[:, reached]
 
     @cached_property
+    def reported(self) -> list[tuple[Motion, RigidBody, Sampler]]:
+        """Motions, bodies and samplers with the whole torque that drives report."""
+        if not self.healthy:
+            return list(self)
+        each = zip(self, self.healthy, strict=True)
+        return [(replace(m, tau=m.tau + x), body, s) for (m, body, s), x in each]
+
+    @cached_property
     def lower_band(self) -> list[tuple[Motion, RigidBody, Sampler]]:
         """Motions, bodies and samplers in the lower half of the band.
 
@@ -210,16 +225,25 @@ class Gap:
     def lower_band_reported(self) -> list[tuple[Motion, RigidBody, Sampler]]:
         """:attr:`lower_band` for effects that change the reported torque.
 
-        Declared dry friction has no noise, and keeps its band up to 25 Hz.
+        Declared dry friction has no noise, and keeps its band up to 25 Hz; so does
+        the torque of a healthy arm, which is mostly friction.
         """
-        parts = []
-        for m, (slow, body, sampler) in zip(self.motions, self.lower_band, strict=True):
+        parts, band = [], LOWER_BAND * self.cutoff
+        none = (None,) * len(self.motions)
+        known = zip(self.motions, self.healthy or none, strict=True)
+        for (m, more), (slow, body, sampler) in zip(
+            known, self.lower_band, strict=True
+        ):
             dry = self.robot.dry_friction(m.v)
-            low = partial(butterworth, dry, rate=m.rate)
-            narrow = low(cutoff=LOWER_BAND * self.cutoff)
-            wide = dry if self.cutoff < _FRICTION_BAND else low(cutoff=_FRICTION_BAND)
-            if LOWER_BAND * self.cutoff < _FRICTION_BAND:
-                slow = replace(slow, tau=slow.tau + wide - narrow)
+            low = partial(butterworth, rate=m.rate)
+            kept = dry if more is None else dry + more
+            if band < _FRICTION_BAND:
+                narrow = low(dry, cutoff=band)
+                if self.cutoff >= _FRICTION_BAND:
+                    kept = low(kept, cutoff=_FRICTION_BAND)
+                slow = replace(slow, tau=slow.tau + kept - narrow)
+            elif more is not None:
+                slow = replace(slow, tau=slow.tau + low(more, cutoff=band))
             parts.append((slow, body, sampler))
         return parts
 
