@@ -18,6 +18,7 @@ from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.words import probability
 from hybrid.excitation import Design
 from hybrid.identification import Fit
+from hybrid.identification.validation import Validation
 from hybrid.inspect import Inspection
 from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
@@ -91,10 +92,27 @@ def _fit_rows(fit: Fit) -> list[dict[str, Any]]:
 
 
 def _draw_fit(fit: Fit, ax: Axes) -> None:
-    known = stage_inks(list(fit.held_out))
-    inks = [known.get(name, BEST) for name in fit.held_out]
-    _bars(ax, fit.held_out, fit.model.robot.joints, inks)
+    _draw_errors(fit.held_out, fit.model.robot.joints, ax)
+
+
+def _draw_errors(rms: Mapping[str, Any], joints: Sequence[str], ax: Axes) -> None:
+    known = stage_inks(list(rms))
+    _bars(ax, rms, joints, [known.get(name, BEST) for name in rms])
     ax.set_ylabel("held-out RMS error [N·m]")
+
+
+def _validation_rows(found: Validation) -> list[dict[str, Any]]:
+    return [
+        {"model": row.name, "joint": joint, "unit": unit, "rms": rms, "relative": part}
+        for row in found.rows
+        for joint, unit, rms, part in zip(
+            found.joints, found.units, row.rms, row.relative, strict=True
+        )
+    ]
+
+
+def _draw_validation(found: Validation, ax: Axes) -> None:
+    _draw_errors({row.name: row.rms for row in found.rows}, found.joints, ax)
 
 
 def _design_table(design: Design) -> Table:
@@ -230,6 +248,7 @@ def _lines(ax: Axes, t: Any, x: Any, joints: tuple[str, ...], label: str) -> Non
 
 _VIEWS = {
     Fit: View(held_out_table, _fit_rows, _draw_fit),
+    Validation: View(report.table_from_validation, _validation_rows, _draw_validation),
     Design: View(_design_table, _design_rows, _draw_design),
     Calibration: View(corrections_table, _calibration_rows, _draw_calibration),
     Inspection: View(
