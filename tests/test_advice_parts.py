@@ -530,7 +530,7 @@ def test_one_of_two_is_confirmed_where_nothing_tells_both():
     told = {"one": (9.0, 0.1, 2.0), "two": (8.0, 3.0, 0.2), "three": (7.0, 2.5, 0.2)}
     plan = choose(Foreseen(experiments(), **told), (0,), RIVALS, [])
     assert plan.experiment.name == "two"
-    text = "run two (10 s); it settles whether it is coulomb, or else bounds it"
+    text = "run two (10 s); it shows Coulomb friction, or how small it is"
     assert plan.advice.experiment == text and plan.advice.separation == 8.0
 
 

@@ -84,24 +84,32 @@ def write_servo_page(
     fit: ServoFit,
     replay: ServoReplay,
     *,
+    fixed: str,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the page of a servo fit."""
+    """Write the page of a servo fit; ``fixed`` is the simulator beside it."""
+    head, _, causes = fit.sentence.partition(": ")
+    remedy = (
+        f"Simulate with {fixed}, which lies beside this page: it has these numbers, as "
+        "far as MJCF can express them. Then diagnose it with other logs.\n\n"
+        "Worth: by how much unseen replays get worse with the file's number."
+    )
+    nothing = "Nothing: no number of the file is certainly wrong."
     sections = [
+        Section(
+            "What to do",
+            remedy if fit.findings else nothing,
+            table=findings_table(fit) if fit.findings else None,
+        ),
         Section("How far replays miss", table=gap_table(fit)),
         Section(
             "An unseen motion",
             figure=replay_figure(replay, fit.robot.joints),
             caption=f"{Path(replay.source).name}: replayed from its first state.",
         ),
-        Section(
-            "What the file has wrong",
-            "Worth: error of unseen replays that comes back with the file's number.",
-            table=findings_table(fit),
-        ),
-        Section("All numbers", table=servos_table(fit)),
         Section("What these logs cannot tell", "\n\n".join(f"{x}." for x in fit.notes)),
+        Section("All numbers", table=servos_table(fit)),
     ]
-    name = fit.robot.name
-    title = f"{name}: command and position"
-    write_page(path, title, sections, lead=fit.sentence, provenance=provenance)
+    title = f"{fit.robot.name}: {head[:1].lower()}{head[1:]}"
+    lead = causes[:1].upper() + causes[1:]
+    write_page(path, title, sections, lead=lead, provenance=provenance)

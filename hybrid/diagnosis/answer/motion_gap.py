@@ -18,7 +18,7 @@ from hybrid.progress import Progress
 _DIVERGED = 1.0  # rad; a larger motion error has no meaning
 _STEP_ERROR = 0.1  # of the motion error without findings
 _ASTRAY = (
-    "replayed, the simulator leaves the motion, with {} or without: its shrinkage in "
+    "in replays the simulator leaves the motion, with {} or without: its shrinkage in "
     "motion is not known"
 )
 _NO_REPLAY = (
@@ -46,7 +46,7 @@ def with_motion_gap(
     if not result.effects:
         return result
     if progress:
-        progress("replaying the simulator", 0.8)
+        progress("replaying the simulator", 0.85)
     try:
         diagnosis = _in_motion(result, Replay(result.scored), rng)
     except HybridError as error:
