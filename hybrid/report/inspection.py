@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.diagnosis.answer.diagnosis import listed
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, lines_figure
 from hybrid.report.table import Table
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from hybrid.inspect import Inspection
     from hybrid.recording import Recording
     from hybrid.recording.reading import Used
+
+
+_MOST_UNTOLD = 6  # parameters in a sentence
 
 
 def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
@@ -133,11 +137,14 @@ def untold_sentences(inspections: Sequence[Inspection]) -> list[str]:
     excited = [(x.excitation, x.recording.source) for x in usable if x.excitation]
     if excited:
         found, source = min(excited, key=lambda pair: len(pair[0].untold))
+        told = len(found.names) - len(found.untold)
+        rest = list(found.untold[:_MOST_UNTOLD])
+        if len(found.untold) > len(rest):
+            rest.append(f"{len(found.untold) - len(rest)} more")
         sentences.append(
-            f"The best log alone, {Path(source).name}: "
-            f"{len(found.names) - len(found.untold)} of {len(found.names)} base "
-            f"parameters and drives differ from zero, condition {found.condition:.0f}"
-            + (f"; not {', '.join(found.untold)}." if found.untold else ".")
+            f"The best log alone, {Path(source).name}, tells {told} of "
+            f"{len(found.names)} parameters of links and drives from zero (condition "
+            f"number {found.condition:.0f}){f'; not {listed(rest)}' if rest else ''}."
         )
     return sentences
 
