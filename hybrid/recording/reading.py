@@ -54,7 +54,7 @@ class Reading:
         lines = [f"{self.kind}{f', preset {self.preset}' if self.preset else ''}"]
         lines += [
             f"{x.label}: {x.channel} {x.joint}".rstrip()
-            + f" [{x.unit}{'' if x.stated else ', assumed'}]"
+            + f" [{x.unit.replace('*', '·')}{'' if x.stated else ', assumed'}]"
             for x in self.columns
         ]
         lines += [f"{label}: set aside, {why}" for label, why in self.aside]

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLACK, BLUE, PALE, RED, lines_figure
 from hybrid.report.table import Table
@@ -23,7 +25,9 @@ def gap_table(fit: ServoFit) -> Table:
     errors = fit.before, fit.plain, fit.after, fit.floor
     for j, joint in enumerate(fit.robot.joints):
         rows.append((joint, *(f"{1000 * x[j]:.2f}" for x in errors)))
-    rows.append(("mean", *(f"{1000 * x.mean():.2f}" for x in errors)))
+    moving = np.array([x not in fit.resting for x in fit.robot.joints])
+    label = "mean" if moving.all() else "mean of joints that move"
+    rows.append((label, *(f"{1000 * x[moving].mean():.2f}" for x in errors)))
     caption = (
         f"RMS error of open-loop replays of {fit.seconds:.0f} s unseen motion, mrad"
     )
@@ -42,7 +46,7 @@ def findings_table(fit: ServoFit) -> Table:
             f"{x.interval[0]:.4g} … {x.interval[1]:.4g}",
             x.unit,
             f"{1000 * x.worth:.2f}",
-            " or ".join((x.effect, *x.equivalents)),
+            " or ".join((x.effect, *x.equivalents)).replace("_", " "),
         )
         for x in fit.findings
     ]
