@@ -570,7 +570,7 @@ def test_effects_at_two_joints_are_named_with_their_joints():
     said = _placed(search, plan, both).advice.experiment
     assert said == (
         "run one (10 s); it settles whether it is load friction at elbow "
-        "or coulomb at wrist"
+        "or Coulomb friction at wrist"
     )
     confirms = replace(plan, advice=Advice("run one (10 s); it settles", (), 1.0))
     assert _placed(search, confirms, both) is confirms
