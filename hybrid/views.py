@@ -67,10 +67,17 @@ def write_page(result: Any, path: str | Path) -> None:
         return
     view, figure = _VIEWS[type(result)], new_figure(_HEIGHT)
     view.draw(result, figure.subplots())
-    table, title = view.table(result), type(result).__name__
-    caption = table.caption
-    found = Section("What was found", table=table, figure=figure, caption=caption)
-    report.write_page(path, title, [found], provenance=provenance())
+    table, lines = view.table(result), view.rows(result)
+    bare = replace(table, caption="")
+    sections = [Section("What was found", table=bare, figure=figure)]
+    if lines:
+        cells = tuple(tuple(map(_cell, line.values())) for line in lines)
+        sections.append(Section("All numbers", table=Table(tuple(lines[0]), cells)))
+    report.write_page(path, table.caption, sections, provenance=provenance())
+
+
+def _cell(x: Any) -> str:
+    return f"{x:.4g}".replace("-", "−") if isinstance(x, float) else str(x)
 
 
 class View(NamedTuple):
@@ -198,7 +205,8 @@ def _diagnosis_table(diagnosis: Diagnosis) -> Table:
         for x in diagnosis.findings
     )  # fmt: skip
     header = ("share", "effect", "certainty", "joint", "what it means")
-    caption = f"{diagnosis.robot}: {diagnosis.verdict.replace('_', ' ')}"
+    said = diagnosis.sentence or diagnosis.verdict.replace("_", " ")
+    caption = f"{diagnosis.robot}: {said}"
     return Table(header, lines, caption, words=True)
 
 

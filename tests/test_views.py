@@ -126,6 +126,8 @@ def test_every_result_writes_a_page_that_loads_nothing(fit, motions, tmp_path):
         result.to_html(path)
         page = path.read_text(encoding="utf-8")
         assert "data:image/svg+xml" in page and "https://" not in page
+        assert f"<h1>{repr(result).splitlines()[0]}</h1>" in page
+        assert all(str(x) in page for x in result.to_frame()["unknown"])
 
 
 def a_diagnosis(**more):

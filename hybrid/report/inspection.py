@@ -101,17 +101,15 @@ def joints_table(inspections: Sequence[Inspection]) -> Table:
         highest = max(x.high for x in each)
         turn, force = ("" if x in usual else f" {x}" for x in each[0].units)
         lag = [x.lag for x in each if x.lag is not None]
-        rows.append(
-            (
-                each[0].joint,
-                f"{min(x.low for x in each):.3g} … {highest:.3g}{turn}",
-                f"{max(x.fastest for x in each):.3g}{turn and f'{turn}/s'}",
-                f"{moving:.0%}",
-                f"{step:.2g}{turn}" if np.isfinite(step) else "–",
-                f"{least:.3g} … {most:.3g}{force}" if torque else "–",
-                f"{1000 * float(np.median(lag)):.0f}".replace("-", "−") if lag else "–",
-            )
+        cells = (
+            f"{min(x.low for x in each):.3g} … {highest:.3g}{turn}",
+            f"{max(x.fastest for x in each):.3g}{turn and f'{turn}/s'}",
+            f"{moving:.0%}",
+            f"{step:.2g}{turn}" if np.isfinite(step) else "–",
+            f"{least:.3g} … {most:.3g}{force}" if torque else "–",
+            f"{1000 * float(np.median(lag)):.0f}" if lag else "–",
         )
+        rows.append((each[0].joint, *(x.replace("-", "−") for x in cells)))
     turn, force = usual
     header = ["joint", f"q, {turn}", f"fastest, {turn}/s", "moves"]
     header += [f"step of q, {turn}", f"torque, {force}", "q after command, ms"]
