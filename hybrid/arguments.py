@@ -1,4 +1,4 @@
-"""Tell a caller who passes an argument of another type what is right."""
+"""Refuse a call with wrong arguments, and say what is valid."""
 
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence

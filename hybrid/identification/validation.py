@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -101,7 +101,7 @@ class Validation(Shown):
         own = vars(self) | {"rows": rows, "reduction": self.reduction}
         return dict(plain(own))
 
-    def save(self, path: str | PathLike[str]) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the errors as JSON."""
         write_json(path, self.as_dict())
 
