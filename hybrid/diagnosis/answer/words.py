@@ -234,10 +234,9 @@ def _endings(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.warnings:
         yield f"Take care: {_few(diagnosis.warnings)}"
     if diagnosis.advice:
-        first = diagnosis.advice[0]
-        splits = (
-            f", to tell {effects_listed(first.splits, 'from')}" if first.splits else ""
-        )
+        first, splits = diagnosis.advice[0], ""
+        if first.splits and "; it " not in first.experiment:
+            splits = f", to tell {effects_listed(first.splits, 'from')}"
         yield f"Next: {first.experiment}{splits}"
 
 
