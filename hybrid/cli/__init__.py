@@ -166,7 +166,11 @@ def _add_common(parser: ArgumentParser) -> None:
 
 def _parsed(argv: Sequence[str]) -> Namespace:
     asked = [word for word in argv if word in _VERBS][:1]
-    args, unknown = build_parser(asked).parse_known_args(argv or ["--help"])
+    parser = build_parser(asked)
+    if not argv:
+        parser.print_help()
+        raise SystemExit(BAD_INPUT)
+    args, unknown = parser.parse_known_args(argv)
     if unknown:
         args.parser.error(f"unknown {' '.join(unknown)}")
     args.inputs = []  # files that the result depends on, as they are loaded
