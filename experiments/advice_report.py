@@ -61,7 +61,7 @@ def kind(pair: Mapping[str, Any]) -> str:
         return "none"
     if not pair["runs"]:
         return "without a motion"
-    return "shown if there" if "settles whether" in pair["advice"] else "told apart"
+    return "shown if there" if "; it shows " in pair["advice"] else "told apart"
 
 
 def _share(pairs: Sequence[Mapping[str, Any]], key: str) -> str:

@@ -1,9 +1,9 @@
-"""Tell a caller who passes an argument of another type what is right."""
+"""Refuse a call with wrong arguments, and say what is valid."""
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache, wraps
-from inspect import isclass, signature
+from inspect import Signature, isclass, signature
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
@@ -25,7 +25,7 @@ _KINDS: dict[Any, Any] = {
 _MADE_BY = {
     "Robot": "Robot.load('arm.urdf')",
     "Recording": "read_recordings('logs')",
-    "DynamicModel": "fit.model or DynamicModel.load",
+    "DynamicModel": "fit.model",
     "Measurements": "hybrid.calibration.read_measurements",
     "Effect": "effects_from_text('stribeck:elbow', robot.joints, joint_scales(robot))",
 }
@@ -38,12 +38,17 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
 
     Raises:
         HybridError: An argument is of another type; the message says what is valid.
+        TypeError: An argument is missing or unknown; the message lists all of them.
     """
     parameters, hints = signature(function), cache(lambda: hints_of(function))
 
     @wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
-        given = parameters.bind(*args, **kwargs)
+        try:
+            given = parameters.bind(*args, **kwargs)
+        except TypeError as error:
+            call = f"{function.__name__}({', '.join(_listed(parameters))})"
+            raise TypeError(f"{error}; valid is {call}") from None
         for name, value in given.arguments.items():
             hint = hints().get(name, Any)
             if _fits(value, hint):
@@ -56,6 +61,17 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         return function(*given.args, **given.kwargs)
 
     return checked
+
+
+def _listed(parameters: Signature) -> Iterator[str]:
+    """Arguments as a caller writes them; ``*`` stands before those that need a name."""
+    named = False
+    for name, x in parameters.parameters.items():
+        if x.kind is x.KEYWORD_ONLY and not named:
+            named = True
+            yield "*"
+        if name not in ("self", "cls"):
+            yield name if x.default is x.empty else f"{name}={x.default!r}"
 
 
 def _fits(value: Any, hint: Any) -> bool:
@@ -84,4 +100,4 @@ def _words(hint: Any) -> str:
     words = hint.__name__ if isclass(hint) else re.sub(r"(\w+\.)+", "", str(hint))
     words = re.sub(r"Literal\[(.*?)\]", r"\1", words)
     sources = [x for kind, x in _MADE_BY.items() if re.search(rf"\b{kind}\b", words)]
-    return f"{words}, as {sources[0]} gives" if sources else words
+    return f"{words}, as {' or '.join(sources)} gives" if sources else words

@@ -18,6 +18,7 @@ from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.words import probability
 from hybrid.excitation import Design
 from hybrid.identification import Fit
+from hybrid.identification.validation import Validation
 from hybrid.inspect import Inspection
 from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
@@ -66,10 +67,17 @@ def write_page(result: Any, path: str | Path) -> None:
         return
     view, figure = _VIEWS[type(result)], new_figure(_HEIGHT)
     view.draw(result, figure.subplots())
-    table, title = view.table(result), type(result).__name__
-    caption = table.caption
-    found = Section("What was found", table=table, figure=figure, caption=caption)
-    report.write_page(path, title, [found], provenance=provenance())
+    table, lines = view.table(result), view.rows(result)
+    bare = replace(table, caption="")
+    sections = [Section("What was found", table=bare, figure=figure)]
+    if lines:
+        cells = tuple(tuple(map(_cell, line.values())) for line in lines)
+        sections.append(Section("All numbers", table=Table(tuple(lines[0]), cells)))
+    report.write_page(path, table.caption, sections, provenance=provenance())
+
+
+def _cell(x: Any) -> str:
+    return f"{x:.4g}".replace("-", "−") if isinstance(x, float) else str(x)
 
 
 class View(NamedTuple):
@@ -91,10 +99,27 @@ def _fit_rows(fit: Fit) -> list[dict[str, Any]]:
 
 
 def _draw_fit(fit: Fit, ax: Axes) -> None:
-    known = stage_inks(list(fit.held_out))
-    inks = [known.get(name, BEST) for name in fit.held_out]
-    _bars(ax, fit.held_out, fit.model.robot.joints, inks)
+    _draw_errors(fit.held_out, fit.model.robot.joints, ax)
+
+
+def _draw_errors(rms: Mapping[str, Any], joints: Sequence[str], ax: Axes) -> None:
+    known = stage_inks(list(rms))
+    _bars(ax, rms, joints, [known.get(name, BEST) for name in rms])
     ax.set_ylabel("held-out RMS error [N·m]")
+
+
+def _validation_rows(found: Validation) -> list[dict[str, Any]]:
+    return [
+        {"model": row.name, "joint": joint, "unit": unit, "rms": rms, "relative": part}
+        for row in found.rows
+        for joint, unit, rms, part in zip(
+            found.joints, found.units, row.rms, row.relative, strict=True
+        )
+    ]
+
+
+def _draw_validation(found: Validation, ax: Axes) -> None:
+    _draw_errors({row.name: row.rms for row in found.rows}, found.joints, ax)
 
 
 def _design_table(design: Design) -> Table:
@@ -180,7 +205,8 @@ def _diagnosis_table(diagnosis: Diagnosis) -> Table:
         for x in diagnosis.findings
     )  # fmt: skip
     header = ("share", "effect", "certainty", "joint", "what it means")
-    caption = f"{diagnosis.robot}: {diagnosis.verdict.replace('_', ' ')}"
+    said = diagnosis.sentence or diagnosis.verdict.replace("_", " ")
+    caption = f"{diagnosis.robot}: {said}"
     return Table(header, lines, caption, words=True)
 
 
@@ -230,6 +256,7 @@ def _lines(ax: Axes, t: Any, x: Any, joints: tuple[str, ...], label: str) -> Non
 
 _VIEWS = {
     Fit: View(held_out_table, _fit_rows, _draw_fit),
+    Validation: View(report.table_from_validation, _validation_rows, _draw_validation),
     Design: View(_design_table, _design_rows, _draw_design),
     Calibration: View(corrections_table, _calibration_rows, _draw_calibration),
     Inspection: View(

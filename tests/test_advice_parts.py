@@ -530,7 +530,7 @@ def test_one_of_two_is_confirmed_where_nothing_tells_both():
     told = {"one": (9.0, 0.1, 2.0), "two": (8.0, 3.0, 0.2), "three": (7.0, 2.5, 0.2)}
     plan = choose(Foreseen(experiments(), **told), (0,), RIVALS, [])
     assert plan.experiment.name == "two"
-    text = "run two (10 s); it settles whether it is coulomb, or else bounds it"
+    text = "run two (10 s); it shows Coulomb friction, or how small it is"
     assert plan.advice.experiment == text and plan.advice.separation == 8.0
 
 
@@ -570,7 +570,7 @@ def test_effects_at_two_joints_are_named_with_their_joints():
     said = _placed(search, plan, both).advice.experiment
     assert said == (
         "run one (10 s); it settles whether it is load friction at elbow "
-        "or coulomb at wrist"
+        "or Coulomb friction at wrist"
     )
     confirms = replace(plan, advice=Advice("run one (10 s); it settles", (), 1.0))
     assert _placed(search, confirms, both) is confirms

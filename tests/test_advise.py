@@ -320,7 +320,7 @@ def test_an_experiment_that_is_run_anyway_is_taken_again():
 def test_what_can_only_be_shown_if_it_is_there_is_said_so():
     pair = rivals_named("viscous", "thermal_friction")
     plan = choose(Foreseen(warm=(0.1, 9.0)), (0,), pair, [])
-    assert "settles whether it is thermal friction" in plan.advice.experiment
+    assert "it shows thermal friction" in plan.advice.experiment
     assert choose(Foreseen(warm=(0.9, 0.9)), (0,), pair, []) is None
 
 

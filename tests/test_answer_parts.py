@@ -614,7 +614,7 @@ def test_without_effects_nothing_is_replayed_and_what_fails_is_a_warning(monkeyp
     told = []
     found = with_motion_gap(some, rng(), progress=lambda *x: told.append(x))
     assert found == (diagnosis, ["no replay: it cannot be simulated"])
-    assert told == [("replaying the simulator", 0.8)]
+    assert told == [("replaying the simulator", 0.85)]
 
 
 # --- the corrected simulator ----------------------------------------------------------

@@ -72,6 +72,32 @@ def test_one_value_is_a_list_of_one_and_an_iterator_is_not_read():
     assert list(chosen(names=iter(["a", "b"]))["names"]) == ["a", "b"]
 
 
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: hybrid.identify(None), "missing a required argument: 'recordings'"),
+        (lambda: hybrid.predict(None, None, sead=1), "keyword argument 'sead'"),
+        (lambda: hybrid.export(None, "c", "x"), "too many positional arguments"),
+    ],
+)
+def test_a_call_with_other_arguments_is_told_all_that_are_valid(call, said):
+    with pytest.raises(TypeError, match=f"{said}; valid is \\w+\\(\\w+, ") as caught:
+        call()
+    assert "self" not in str(caught.value)
+
+
+def test_arguments_with_a_name_stand_behind_a_star():
+    with pytest.raises(TypeError, match=r"valid is predict\(model, recording\)$"):
+        hybrid.predict()
+    with pytest.raises(TypeError, match=r"\(paths, \*, joints=None, .*torque=True"):
+        hybrid.read_recordings()
+
+
+def test_an_argument_of_two_types_is_told_what_gives_each():
+    with pytest.raises(HybridError, match=r"Robot.load\(.*\) or fit.model gives$"):
+        hybrid.diagnose("arm.urdf", [])
+
+
 CALLS: dict[str, Callable[[], Any]] = {
     "held": lambda: hybrid.Robot.load("planar", held=["x"]),
     "joints": lambda: hybrid.Robot.load("planar", joints=3),

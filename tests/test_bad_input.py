@@ -132,6 +132,7 @@ def changed(column: int, row: int, cell: str) -> str:
         (changed(2, 2, '"1'), "row 2 (data rows count from 1) has"),
         (changed(2, 1, "1\r2"), "row 1 (data rows count from 1) has 3 cells"),
         (GOOD.replace("tau", "load"), "no torques among the columns time, q1"),
+        (GOOD.replace("tau", "load"), "torque=False reads a log without"),
         (GOOD.replace("q", "x"), "no positions among the columns time, x1"),
         (GOOD.replace("tau2", "tau1"), "'tau1' and 'tau1' are both tau of joint_1"),
         (GOOD.replace("q2", "q_1"), "'q1' and 'q_1' are both q of joint_1"),

@@ -388,6 +388,13 @@ class TestIdentifyAndPredict:
         assert inertial.shape == (2, 10) and (inertial[:, 0] > 0).all()
 
 
+def test_without_a_verb_the_help_is_shown(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == 2
+    assert "hybrid demo" in capsys.readouterr().out
+
+
 def test_an_export_names_the_files_of_its_own_format(chain, tmp_path, capsys):
     for kind in ("json", "c"):
         run(f"export --model {chain.model} --format {kind} --out {tmp_path}")
@@ -531,7 +538,6 @@ class TestOwnEffects:
 
 
 BAD_ARGUMENTS = {
-    "": f"required: {{{','.join(EVERY_VERB)}}}",
     "no-such-verb": "simulate",
     "simulate": "--robot, --out",
     "simulate --robot {R} --out {OUT} --sead 3": "unknown --sead 3",

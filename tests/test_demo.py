@@ -26,6 +26,7 @@ def test_the_demo_identifies_a_real_ur10(tmp_path, monkeypatch, capsys, offline)
     said = capsys.readouterr().out
     assert "nothing speaks against them" in said
     assert "+ friction" in said
+    assert said.splitlines()[-1].endswith("hybrid inspect LOGS --robot ROBOT.urdf")
     model = DynamicModel.load("hybrid-demo/model.json")
     assert model.robot.joints[0] == "shoulder_pan_joint"
     assert (tmp_path / "hybrid-demo" / "torque.png").read_bytes()[:4] == b"\x89PNG"

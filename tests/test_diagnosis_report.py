@@ -127,8 +127,8 @@ class TestPage:
         )
         assert "motion gap over 0.5 s 0.012 → 0.003 rad, 75% less" in words
         assert "interval −1 to 80%" in words
-        assert "A velocity ladder — tells stribeck from coulomb; expected" in words
-        assert "14 times the noise ( next.csv )" in words
+        assert "A velocity ladder. It tells Stribeck friction from Coulomb " in words
+        assert "difference: 14 times the noise. Motion: next.csv" in words
         assert "the clock jumps" in words and "elbow above 3 rad/s" in words
 
     def test_it_says_what_the_held_out_motion_was_used_for(self, page):
@@ -161,8 +161,25 @@ class TestPage:
         result = faultless()
         assert result.diagnosis.verdict == "no_gap"
         words = plain(render_diagnosis(result))
-        assert "No gap" in words and "only noise is left" in words
+        assert "No gap" in words and "Nothing: the simulator fits the robot." in words
         assert "Remedy" not in words
+
+    def test_poor_motion_is_no_effect_that_was_tried_in_vain(self):
+        words = plain(render_diagnosis(told(faultless(), verdict="not_excited")))
+        assert "Move the arm more" in words and "No effect was named" not in words
+
+    def test_the_first_screen_links_the_repaired_simulator(self, page):
+        assert "<a href" in page and "Done in" not in page
+        words = plain(render_diagnosis(planar(), "sim_fixed.xml"))
+        assert "Done in sim_fixed.xml" in words.split("What to run next")[0]
+
+    def test_unnamed_effects_are_said_only_where_there_are_some(self):
+        unseen = planar().diagnosis.unseen
+        assert unseen and "unnamed" not in plain(render_diagnosis(planar()))
+        more = replace(unseen, named=tuple(2 * x for x in unseen.after))
+        assert "unnamed effects included" in plain(
+            render_diagnosis(told(planar(), unseen=more))
+        )
 
     def test_without_a_cause_none_is_named(self):
         unknown = told(planar(), findings=(), verdict="unexplained", unexplained=1.0)
@@ -306,7 +323,7 @@ class TestVerdict:
         )
         lines = verdict_lines(diagnosis)
         assert len(lines) <= MOST_LINES + LEAST_FINDINGS == 13
-        assert ("Run next: run it slowly, to tell a from b" in lines) is next_
+        assert ("Next: run it slowly, to tell a from b" in lines) is next_
         shown = sum(bool(re.match(r"\d+\. ", line)) for line in lines)
         hidden = [int(m[1]) for x in lines if (m := re.match(r"… and (\d+) more", x))]
         assert shown + sum(hidden) == causes
@@ -317,10 +334,7 @@ class TestVerdict:
         assert lines[0] == headline(planar().diagnosis)
         assert lines[1].startswith("Explained: 2 effects account for over 99% of")
         assert lines[2].startswith("RMS gap in N·m: shoulder 1.")
-        assert lines[4].startswith(
-            "On held-out motion, in N·m: repaired by all effects, unnamed ones too, "
-            "shoulder 1."
-        )
+        assert lines[4].startswith("On held-out motion, in N·m: repaired, shoulder 1.")
         assert lines[5].startswith("1. Torque ripple at shoulder: ")
         assert "% less (95% interval " in lines[6]
 
@@ -365,27 +379,27 @@ class TestVerdict:
     def test_the_headline_names_effects_joints_and_what_is_left(self):
         found = planar().diagnosis
         text = headline(found)
-        assert text == "Torque ripple at shoulder, stribeck at elbow; noise is left"
+        assert text == (
+            "Torque ripple at shoulder, Stribeck friction at elbow; noise is left"
+        )
         several = replace(many(1)[0], joints=("a", "b", "c"))
         some = replace(found, findings=(several, *many(3)), unexplained=0.31)
         left = Unseen(
             (4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5), (1.2, 1.9)
         )
         where = headline(replace(some, unseen=left)).replace("\u00a0", " ")
-        assert where.endswith("; with these alone most is left at elbow, 1.9 of 2 N·m")
+        assert where.endswith("; most is left at elbow: 1.9 of 2 N·m")
         less = replace(left, after=(1.2, 0.5), named=(1.2, 1.3))
         where = headline(replace(some, unseen=less))
-        assert where.endswith(
-            "; with these alone most is left at elbow, 1.3 of 2\u00a0N·m"
-        )
+        assert where.endswith("; most is left at elbow: 1.3 of 2\u00a0N·m")
         where = headline(replace(some, unseen=replace(left, named=(1.2, 2.1))))
         where = where.replace("\u00a0", " ")
         assert where.endswith("; most is left at elbow, none of 2 N·m is explained")
         some = replace(some, unseen=None)
-        assert headline(some).startswith("Coulomb at 3 joints, coulomb at joint_0, ")
-        assert headline(some).endswith(" and 1 more; 31% of the gap is left")
+        assert headline(some).startswith("Coulomb friction at 3 joints, Coulomb ")
+        assert headline(some).endswith(" and 1 more effect; 31% of the gap is left")
         other = headline(replace(some, unlike="links do not fit"))
-        assert other.startswith("Not the file of this arm: links do not fit; coulomb")
+        assert other.startswith("Not the file of this arm: links do not fit; Coulomb")
         nothing = replace(found, findings=(), verdict="unexplained", unexplained=1.0)
         assert headline(nothing) == "No known cause of the gap at shoulder and elbow"
 
@@ -402,7 +416,9 @@ class TestVerdict:
 
     def test_it_says_what_cannot_be_told_apart(self):
         text = "\n".join(verdict_lines(replace(planar().diagnosis, findings=many(1))))
-        assert "1. Coulomb at joint_0" in text and "may as well be spring" in text
+        assert (
+            "1. Coulomb friction at joint_0" in text and "may as well be spring" in text
+        )
 
     @pytest.mark.parametrize(
         ("region", "words"),

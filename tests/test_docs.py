@@ -90,6 +90,13 @@ def test_the_newcomers_effect_is_found_again_as_printed(tmp_path, monkeypatch, c
     for x in truth["effects"]:
         low, high = found[f"{x['effect']}.slope[{x['joints'][0]}]"]
         assert 0 < low <= x["values"]["slope"] <= high
+    answer = json.loads(Path("diagnosis/diagnosis.json").read_text("utf-8"))
+    assert [x["effect"] for x in answer["findings"]] == ["quadratic_viscous"]
+    page = Path("diagnosis/report.html").read_text("utf-8")
+    assert "Add a quadratic damping term to the joint." in page
+    exported = Path("sim/planar.xml").read_text("utf-8")
+    damping = [x.split() for x in re.findall(r'damping="([^"]*)"', exported)]
+    assert len(damping) == 2 and all(float(x[1]) > 0.01 for x in damping)
 
 
 def test_the_notebook_of_an_own_effect_has_the_printed_one():

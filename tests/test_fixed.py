@@ -125,7 +125,7 @@ def test_friction_that_mjcf_lacks_is_replaced_and_said_to_be_where_it_misses(nam
     log, gap, effects = motion_of(name)
     robot = arm("planar")
     model, notes = written(gap, robot, effects)
-    start = f"friction of {robot.joints[1]} ({name}), as "
+    start = f"friction of {robot.joints[1]} ({name}): "
     (fitted,) = plan(robot, effects, "mjcf", gap.motions).friction
     missed = fitted.missed > 1e-3 * fitted.torque or name == "thermal_friction"
     assert [x.startswith(start) for x in notes] == [True] * missed
@@ -149,7 +149,7 @@ def test_friction_below_zero_is_cut_and_said():
     model, notes = written(gap, robot, [wrong])
     assert model.dof_damping.min() >= 0
     (note,) = notes
-    assert note.startswith(f"friction of {robot.joints[1]} (viscous), as dry")
+    assert note.startswith(f"friction of {robot.joints[1]} (viscous): dry")
 
 
 @pytest.fixture(scope="module")

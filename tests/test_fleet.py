@@ -136,6 +136,7 @@ def test_the_report_leads_to_the_page_of_every_arm(tmp_path, asked):
     plan = folder_of_arms(tmp_path, weeks=2)
     found = fleet(plan, tmp_path, workers=1)
     page = write_fleet_pages(tmp_path, found, provenance={}).read_text()
+    assert "<h1>Fleet: no arm changed</h1>" in page
     for arm in ("arm0", "arm1"):
         assert f'<a href="arms/{arm}.html">{arm}</a>' in page
         assert arm in (tmp_path / "arms" / f"{arm}.html").read_text()

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.files import atomic_path, write_json
-from hybrid.recording import Recording, read, resample, unbroken
+from hybrid.recording import (
+    Recording,
+    read,
+    recording_from_table,
+    resample,
+    unbroken,
+)
 from hybrid.recording.joints import _prefix
 
 
@@ -225,6 +231,16 @@ def test_a_channel_without_a_number_is_not_there_and_that_is_said(
     assert found.has_torque == ("tau" in left)
     assert (found.v is not None) == ("v" in left)
     assert note is None or note in found.reading.notes
+
+
+def test_a_reading_says_what_each_column_became_in_a_line():
+    table = {"t": [0.0, 1.0], "q1 [deg]": [0.0, 1.0], "tau1": [0.0, 1.0], "x": [0, 0]}
+    with pytest.warns(HybridWarning, match="ignored columns: x"):
+        reading = recording_from_table(table).reading
+    assert str(reading).splitlines()[1:] == [
+        "t: t [s, assumed]", "q1 [deg]: q joint_1 [deg]",
+        "tau1: tau joint_1 [N·m, assumed]", "x: set aside, no word for a channel",
+    ]  # fmt: skip
 
 
 def test_what_names_begin_with_ends_at_a_separator():

@@ -657,7 +657,7 @@ def test_a_servo_of_which_a_file_says_nothing_holds_the_arm_anywhere(robot):
 
 
 def test_a_log_without_command_is_refused(robot):
-    with pytest.raises(RecordingError, match="neither torque nor command"):
+    with pytest.raises(RecordingError, match=": no command; valid are columns of comm"):
         fit_servo(robot, [replace(log(0), command=None)])
 
 

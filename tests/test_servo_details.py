@@ -10,9 +10,9 @@ from arms import planar_of_xacro
 from pendulum import pendulum
 
 from hybrid.dynamics import inverse_dynamics
-from hybrid.errors import HybridWarning, RecordingError, RobotError
+from hybrid.errors import HybridError, HybridWarning, RecordingError, RobotError
 from hybrid.recording import Recording
-from hybrid.report.servo import servos_table
+from hybrid.report.servo import gap_table, servos_table, write_servo_page
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
 from hybrid.servo.evidence import Explanation
@@ -29,7 +29,7 @@ from hybrid.servo.model import (
 from hybrid.servo.moves import probed
 from hybrid.servo.noise import Noise, inexactness, resolution, usual_error
 from hybrid.servo.problem import Estimate, Problem
-from hybrid.servo.servo_fit import ServoFinding, ServoFit
+from hybrid.servo.servo_fit import ServoFinding, ServoFit, ServoReplay
 from hybrid.servo.simulator import ServoSimulator, converged, missed
 from hybrid.servo.start import best_start, first_guess
 from hybrid.servo.stretch import Stretch, chosen, stretches_of
@@ -572,7 +572,7 @@ def result(**changed) -> ServoFit:
 
 def test_the_result_is_said_in_a_sentence():
     said = result().sentence
-    assert "miss by 2.0 instead of 15.0 mrad (mean of joints)" in said
+    assert "miss by 2.0 instead of 15.0 mrad (mean of joints that move)" in said
     assert "wrong in damping at hinge_0, delay at hinge_0." in said
     left = "Left without a known cause: 3.0 mrad at hinge_1 (encoder: 0.50)."
     assert said.endswith(left)
@@ -581,8 +581,27 @@ def test_the_result_is_said_in_a_sentence():
     assert both.endswith(left)
     quiet = result(after=np.array([0.001, 0.0019]), findings=()).sentence
     assert quiet.endswith("nothing stands out.") and "cause" not in quiet
-    resting = result(resting=("hinge_1",)).sentence
-    assert "miss by 1.0 instead of 20.0 mrad" in resting and "cause" not in resting
+    rests = result(resting=("hinge_1",))
+    assert "miss by 1.0 instead of 20.0 mrad" in rests.sentence
+    assert "cause" not in rests.sentence
+    row = gap_table(rests).rows[-1]
+    assert (row[0], row[1], row[3]) == ("mean of joints that move", "20.00", "1.00")
+
+
+def test_servos_are_saved_as_mjcf_only(tmp_path):
+    with pytest.raises(HybridError, match="fit.json: an arm with servos is saved as"):
+        result().save(tmp_path / "fit.json")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_the_first_screen_has_the_numbers_to_set(tmp_path):
+    fit = result()
+    t, nothing = np.arange(3.0), np.zeros((3, 2))
+    replay = ServoReplay(t, nothing, nothing, nothing, nothing, "log.csv")
+    write_servo_page(tmp_path / "a.html", fit, replay, fixed="new.xml", provenance={})
+    page = (tmp_path / "a.html").read_text("utf-8")
+    first = page[page.index("What to do") : page.index("How far replays miss")]
+    assert "Simulate with new.xml" in first and "hinge_0" in first
 
 
 def test_of_many_joints_without_a_cause_three_are_said():

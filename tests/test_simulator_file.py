@@ -202,7 +202,7 @@ def test_a_curve_of_friction_is_fitted_and_what_is_left_is_said():
     made = build_simulator(robot, curve, motions=moved)
     (fitted,), (note,) = plan(robot, curve, "mjcf", moved).friction, made.notes
     assert note.startswith("friction of elbow (stribeck")
-    assert f"miss {fitted.missed:.3g} of" in note
+    assert f"leaves {fitted.missed:.3g} of" in note
     wanted = [*declared_effects(robot), *curve]
     left = []
     for motion in moved:

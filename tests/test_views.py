@@ -9,9 +9,10 @@ import pytest
 from matplotlib.figure import Figure
 from test_calibrate import coman, disturbed, measured
 
-from hybrid import Recording, Robot, identify, inspect_recording, simulate
+from hybrid import Recording, Robot, identify, inspect_recording, simulate, validate
 from hybrid.calibration import calibrate, random_poses
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Unseen, Value
+from hybrid.errors import HybridWarning
 from hybrid.excitation import Condition, Fourier, design, observe
 from hybrid.identification import DynamicModel
 
@@ -70,6 +71,19 @@ def test_a_frame_holds_every_unknown_within_its_interval(fit):
     assert ((frame["low"] <= frame["value"]) & (frame["value"] <= frame["high"])).all()
 
 
+def test_a_validation_shows_the_error_of_every_model_and_joint(fit, logs, tmp_path):
+    with pytest.warns(HybridWarning, match="no validation"):
+        found = validate(fit.model, logs)
+    assert "| rigid |" in repr(found) and "array" not in repr(found)
+    frame = found.to_frame()
+    assert len(frame) == len(found.rows) * 2 == len(found.plot().patches)
+    assert list(frame["rms"][-2:]) == list(found.rows[-1].rms)
+    found.to_html(tmp_path / "validation.html")
+    found.save(tmp_path / "validation.json")
+    content = json.loads((tmp_path / "validation.json").read_text("utf-8"))
+    assert content["reduction"] == found.reduction
+
+
 def test_a_saved_fit_loads_as_its_model(fit, tmp_path):
     fit.save(tmp_path / "model.json")
     assert DynamicModel.load(tmp_path / "model.json").effects == fit.model.effects
@@ -112,6 +126,8 @@ def test_every_result_writes_a_page_that_loads_nothing(fit, motions, tmp_path):
         result.to_html(path)
         page = path.read_text(encoding="utf-8")
         assert "data:image/svg+xml" in page and "https://" not in page
+        assert f"<h1>{repr(result).splitlines()[0]}</h1>" in page
+        assert all(str(x) in page for x in result.to_frame()["unknown"])
 
 
 def a_diagnosis(**more):
@@ -145,3 +161,9 @@ def test_a_name_with_markup_in_it_stays_text():
     q = np.stack([np.sin(3 * t), np.cos(2 * t)], axis=1)
     log = Recording(t, q, joints=("<script>", "b"))
     assert "<script>" not in inspect_recording(log)._repr_html_()
+
+
+def test_motions_are_designed_for_a_robot_alone():
+    found = design(Robot.load("planar"), starts=1)
+    assert found.trajectories[0].family == Fourier(10, 0.05)
+    assert found.observation.size == observe(found.robot.chain).size

@@ -32,10 +32,10 @@ _VERBS = {
     "predict": "predict the drive torque along a recording",
     "track": "track the parameters of a model along a recording, sample by sample",
     "calibrate": "calibrate the geometry of an arm from measured poses",
-    "diagnose": "say what a simulator lacks: where, which effect, how far the gap "
-    "shrinks",
-    "fleet": "which arms of a fleet change, when, in what, and which are unlike the "
-    "others",
+    "diagnose": "say what a simulator lacks: where, which effect, and by how much the "
+    "gap shrinks",
+    "fleet": "say which arms of a fleet change, when and in what, and which are unlike "
+    "the others",
     "export": "export a model to C, ONNX, TorchScript, MJCF, URDF, Isaac Lab or JSON",
     "effects": "list effects, or tell all about one",
 }
@@ -166,7 +166,11 @@ def _add_common(parser: ArgumentParser) -> None:
 
 def _parsed(argv: Sequence[str]) -> Namespace:
     asked = [word for word in argv if word in _VERBS][:1]
-    args, unknown = build_parser(asked).parse_known_args(argv)
+    parser = build_parser(asked)
+    if not argv:
+        parser.print_help()
+        raise SystemExit(BAD_INPUT)
+    args, unknown = parser.parse_known_args(argv)
     if unknown:
         args.parser.error(f"unknown {' '.join(unknown)}")
     args.inputs = []  # files that the result depends on, as they are loaded

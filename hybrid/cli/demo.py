@@ -51,3 +51,4 @@ def run(args: Namespace, screen: Screen) -> None:
     screen.show(held_out_table(fit))
     screen.say(f"model: {model}")
     screen.say(f"measured and identified torque: {picture}")
+    screen.say("next, with your own robot: hybrid inspect LOGS --robot ROBOT.urdf")

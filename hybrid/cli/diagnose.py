@@ -100,21 +100,25 @@ def _diagnose_torque(
         )
         rng = np.random.default_rng(args.seed)
         result = with_motion_gap(result, rng, progress=tell)
-        tell("writing the report", 0.95)
+        tell("writing the report", 0.85)
         with atomic_folder(args.out) as folder:
             advice = advise(result, rng, directory=folder)
             diagnosis = replace(result.diagnosis, advice=advice, provenance=args.how)
-            write_diagnosis(replace(result, diagnosis=diagnosis), folder)
             notes = _fix(result, folder, args.out)
+            found = notes is not None and bool(result.effects or result.command)
+            write_diagnosis(
+                replace(result, diagnosis=diagnosis),
+                folder,
+                fixed=fixed.SIMULATOR if found else "",
+            )
     options.write_record(args, diagnosis.as_dict())
     for line in verdict_lines(diagnosis):
         screen.say(line)
     screen.say(f"Report: {args.out / PAGE}")
-    if notes is not None and (result.effects or result.command):
-        lacks = f"; only in {fixed.MODEL}, or better: {_few(notes)}" if notes else ""
-        screen.say(
-            f"Simulator with what was found: {args.out / fixed.SIMULATOR}{lacks}"
-        )
+    if found:
+        screen.say(f"Simulator with what was found: {args.out / fixed.SIMULATOR}")
+        if notes:
+            screen.say(f"Exact in {args.out / fixed.MODEL} only: {_few(notes)}")
     _to_viewers(args, screen, lambda: scene_of_diagnosis(result))
 
 
@@ -155,7 +159,9 @@ def _diagnose_servos(
     replay = found.replayed()
     with atomic_folder(args.out) as folder:
         write_json(folder / CONTENT, {**found.as_dict(), "provenance": args.how})
-        write_servo_page(folder / PAGE, found, replay, provenance=args.how)
+        write_servo_page(
+            folder / PAGE, found, replay, fixed=fixed.SIMULATOR, provenance=args.how
+        )
         found.save(folder / fixed.SIMULATOR)
     options.write_record(args, found.as_dict())
     servos.show(found, screen)
@@ -165,9 +171,9 @@ def _diagnose_servos(
 
 
 def _few(notes: Sequence[str]) -> str:
-    shown = ", ".join(notes[:_MOST_NOTES])
+    shown = "; ".join(notes[:_MOST_NOTES])
     more = len(notes) - _MOST_NOTES
-    return f"{shown}, and {more} more, listed at its top" if more > 0 else shown
+    return f"{shown}; {more} more at the top of that file" if more > 0 else shown
 
 
 def _fix(result: Result, folder: Path, home: Path) -> tuple[str, ...] | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from hybrid.arrays import Array
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
-from hybrid.errors import HybridError
+from hybrid.errors import HybridError, warn
 from hybrid.exports import FORMATS, export, read_manifest
 from hybrid.exports.manifest import FILE as MANIFEST
 from hybrid.exports.simulator.check import gaps
@@ -122,4 +122,9 @@ def _with_file(model: DynamicModel, args: Namespace) -> DynamicModel:
         )
     beside = args.model.parent / model.robot.path
     path = args.robot or (beside if model.robot.path and beside.is_file() else "")
+    if not path and args.format in _SCORED:
+        warn(
+            f"{model.robot.path or 'the robot file'}: not beside {args.model}; only "
+            "links, joints and motors are written; --robot FILE keeps all else of it"
+        )
     return replace(model, robot=replace(model.robot, path=str(path)))

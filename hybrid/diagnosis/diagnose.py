@@ -127,14 +127,14 @@ def _examined(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     result = _explained(case, tell, rng)
     if result.diagnosis.verdict == "not_excited":
         return result
-    tell("finding where the gap lies", 0.65)
+    tell("finding where the gap lies", 0.8)
     floor = np.array(result.diagnosis.noise_floor)
     where = locate(case.as_logged, floor, rng)
     diagnosis = replace(result.diagnosis, where=where)
     # Without the torque of a healthy model a log does not show the servo.
     if case.too_little or case.healthy:
         return replace(result, diagnosis=diagnosis)
-    tell("asking whether torque follows the command", 0.7)
+    tell("asking whether torque follows the command", 0.8)
     distorted = {j for e in result.effects if e.reports for j in e.joints}
     link = command_link(
         case.gap, case.recordings, rng, without=case.without, distorted=distorted
@@ -203,14 +203,14 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     doubts = [x for x in (case.too_little, case.unlike.doubt) if x]
     # A delay of all torque is corrected already.
     late = [effect_at(Port.MEASUREMENT, shifts=True).id] if logged.clocks else []
-    tell("trying every effect at every joint", 0.1)
+    tell("trying every effect at every joint", 0.05)
     search = Search(gap, split(gap), without=[*case.without, *late])
     if not case.too_little:
-        tell("looking for the most probable explanation", 0.45)
+        tell("looking for the most probable explanation", 0.2)
         search.run(tell)
         once = search.happened_in_test()
         if once.any():
-            tell("looking again, with what happened once", 0.55)
+            tell("looking again, with what happened once", 0.5)
             search = Search(gap, search.learn | once, search.pool.without)
             search.run(tell)
     reached = account(search).ceiling
@@ -220,7 +220,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         doubts.append(_DOUBTFUL.format(", ".join(gap.robot.joints[j] for j in far)))
     search.substitute_unknown_laws()
     kinds = [named.get(c, {}) for c in search.known]
-    tell("scoring on held-out motion", 0.6)
+    tell("scoring on held-out motion", 0.75)
     scored, effects = explain(search), refit(search)
     each = zip(search.known, kinds, scored.named, strict=True)
     certain = [c for c, kind, name in each if kind or name != c.place[0]]

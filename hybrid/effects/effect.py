@@ -246,7 +246,7 @@ class Effect(InPlant, Instant, ABC):
         return True
 
     def excludes(self, other: Effect) -> bool:
-        """Whether both cannot be at once, although they may repeat."""
+        """Whether an arm cannot have this and another effect at once."""
         return False
 
     @property

@@ -21,7 +21,8 @@ from hybrid.excitation.constraints import (
 )
 from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition
 from hybrid.excitation.expected_error import ExpectedError
-from hybrid.excitation.observation import Observation, rigid_conditions
+from hybrid.excitation.families import Fourier
+from hybrid.excitation.observation import Observation, observe, rigid_conditions
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, solve
@@ -161,8 +162,8 @@ class Design(Shown):
 @typed
 def design(
     robot: Robot,
-    observation: Observation,
-    family: Family,
+    observation: Observation | None = None,
+    family: Family | None = None,
     *,
     seed: int | np.random.Generator = 0,
     criterion: Criterion | None = None,
@@ -177,8 +178,9 @@ def design(
 
     Args:
         robot: The arm; its nominal torque stays within the limits.
-        observation: The unknowns, see :func:`observe`.
-        family: Family of motions.
+        observation: The unknowns, see :func:`observe`; those of the rigid body by
+            default.
+        family: Family of motions; by default ten harmonics of 0.05 Hz, so 20 s.
         seed: Seed or generator of the random starts.
         criterion: Optimality criterion; by default the expected torque error on random
             motions of the family within the limits.
@@ -197,6 +199,8 @@ def design(
     if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
     rng = np.random.default_rng(seed)
+    observation = observe(robot.chain) if observation is None else observation
+    family = Fourier(10, 0.05) if family is None else family
     bounds = Limits.of(robot) if limits is None else limits
     kept = MotionLimits(bounds, robot.joints), TorqueLimits(robot, bounds.torque)
     measure = DOptimal() if criterion is None else criterion

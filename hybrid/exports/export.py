@@ -59,7 +59,7 @@ def export(
         What the format cannot express; the manifest lists it, too.
 
     Raises:
-        HybridError: ``model`` is none, the format is unknown, or its package is
+        HybridError: ``model`` is no model, the format is unknown, or its package is
             missing.
         EffectError: An effect cannot run in a control loop.
     """

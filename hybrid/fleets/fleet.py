@@ -40,7 +40,7 @@ class Fleet:
 
     @property
     def alarms(self) -> list[State]:
-        """Parameters that changed, by falling score."""
+        """Parameters that changed, highest score first."""
         found = [x for x in self.states if x.changes]
         return sorted(found, key=lambda x: -x.score)
 

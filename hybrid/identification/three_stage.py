@@ -50,8 +50,8 @@ def identify(
         robot: The arm. Links, rotors and friction of its file are a prior, whose
             strength is chosen by the held-out error.
         recordings: Logs, or motions made from logs; masked samples are left out.
-        estimator: The last that may be used of ``ls``, ``wls`` (weights per joint) and
-            ``irls`` (full covariance across joints).
+        estimator: The most elaborate that may be used: ``ls``, ``wls`` (weights per
+            joint) or ``irls`` (full covariance across joints).
         stages: Stages to run; ``rigid`` is always run.
         effects: More effects, whose gains are identified with the rigid body.
         cutoff: Cut-off of columns and torque, [Hz]. By default it comes from the

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import RecordingError, warn
+from hybrid.files import write_json
 from hybrid.identification.preparation import (
     checked_logs,
     log_hash,
@@ -19,7 +21,7 @@ from hybrid.model.dynamic_model import DynamicModel, check_same_arm
 from hybrid.recording import Recording
 from hybrid.regression.data import check_torque
 from hybrid.robot import Robot
-from hybrid.shown import plain
+from hybrid.shown import Shown, plain
 from hybrid.signals import Motion, Sampler
 
 _LINEAR = ("LS", "WLS", "IRLS", "rigid")
@@ -57,8 +59,8 @@ class ValidationRow:
         return float(np.nanmean(self.rms))
 
 
-@dataclass(frozen=True)
-class Validation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation(Shown):
     """Errors of models on recordings that none of them was fitted on.
 
     Attributes:
@@ -98,6 +100,10 @@ class Validation:
         rows = [vars(row) | {"mean": row.mean} for row in self.rows]
         own = vars(self) | {"rows": rows, "reduction": self.reduction}
         return dict(plain(own))
+
+    def save(self, path: str | Path) -> None:
+        """Write the errors as JSON."""
+        write_json(path, self.as_dict())
 
 
 @typed

@@ -25,7 +25,7 @@ from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
 from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError
 from hybrid.recording.units import SI, converted
 
-_HELP = "or say which column is what with --map FILE.yaml"
+_HELP = "or say which column is what with --map FILE.yaml, in Python map="
 _REQUIRED = ("q", "tau")
 
 
@@ -188,6 +188,7 @@ class Assignment:
         return kind(
             f"{self.table.place}: no {word} among the columns {listed(self.labels)}; "
             f"valid are {', '.join(f'{w}1 or {w}_<joint>' for w in words)}, {_HELP}"
+            f"{'; torque=False reads a log without' if channel == 'tau' else ''}"
         )
 
     def _joints_of(self, columns: dict[str, list[Meaning]]) -> tuple[str, ...]:

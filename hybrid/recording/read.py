@@ -107,7 +107,7 @@ def recording_from_table(
         table: Table with named columns, whose labels are those of files. An index of
             dates, or one named ``time``, is a column, too.
         joints: Joint names of the robot, base to tip; None if not known.
-        map: As in :func:`read_all`.
+        map: As in :func:`hybrid.read_recordings`.
         torque: Refuse a table without torques.
 
     Raises:

@@ -49,6 +49,17 @@ class Reading:
     aside: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
+    def __str__(self) -> str:
+        """A line for each column: what it became, in which unit, or why it did not."""
+        lines = [f"{self.kind}{f', preset {self.preset}' if self.preset else ''}"]
+        lines += [
+            f"{x.label}: {x.channel} {x.joint}".rstrip()
+            + f" [{x.unit.replace('*', '·')}{'' if x.stated else ', assumed'}]"
+            for x in self.columns
+        ]
+        lines += [f"{label}: set aside, {why}" for label, why in self.aside]
+        return "\n".join([*lines, *self.notes])
+
     @property
     def time(self) -> Used:
         """Column of time."""

@@ -181,7 +181,7 @@ def check_torque(motions: Sequence[Motion]) -> None:
         if not np.isfinite(motion.tau).all():
             raise RecordingError(
                 f"{motion.source or 'recording'}: no torque; valid is a log of time, "
-                "positions and torques"
+                "positions and torques; fit_servo takes one of positions and commands"
             )
 
 

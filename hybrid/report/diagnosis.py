@@ -30,21 +30,22 @@ _BLUE, _GOLDEN = 255.0, 137.5  # hue of the first colour, golden angle, [°]
 _LIGHTNESS = (0.52, 0.66)  # in turn, so that colours differ without their hue as well
 
 
-def write_diagnosis(result: Result, directory: str | Path) -> None:
+def write_diagnosis(result: Result, directory: str | Path, *, fixed: str = "") -> None:
     """Write ``report.html`` and ``diagnosis.json`` into a folder.
 
-    Without a provenance the diagnosis gets the versions of all packages.
+    Without a provenance the diagnosis gets the versions of all packages. The page
+    links the ``fixed`` simulator, a file beside it.
     """
     directory, diagnosis = Path(directory), result.diagnosis
     if not diagnosis.provenance:
         diagnosis = replace(diagnosis, provenance=provenance())
-    page = render_diagnosis(replace(result, diagnosis=diagnosis))
+    page = render_diagnosis(replace(result, diagnosis=diagnosis), fixed)
     with atomic_path(directory / PAGE) as temporary:
         temporary.write_text(page, encoding="utf-8")
     write_results(directory / CONTENT, diagnosis.as_dict())
 
 
-def render_diagnosis(result: Result) -> str:
+def render_diagnosis(result: Result, fixed: str = "") -> str:
     """The page that :func:`write_diagnosis` writes."""
     diagnosis, matrix = result.diagnosis, evidence_matrix(result)
     curves = [joint_curves(result, i) for i in range(len(diagnosis.joints))]
@@ -66,6 +67,7 @@ def render_diagnosis(result: Result) -> str:
         lead=words.verdict_sentence(diagnosis),
         said=words,
         diagnosis=diagnosis,
+        fixed=fixed,
         rows=rows,
         longest=longest,
         shares=_shares(diagnosis, inks),

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40  # arms of the heat map and of the list
 _MOST_PAGES = 100  # arms with a page of their own
 _MOST_TIMELINES = 8  # in the report
+_NAMED = 3  # arms in the heading
 _TIMELINE = (
     "Deviation from the baseline, with 95 % intervals. Upright line: when a change "
     "began; band: 95 % interval of that; dotted: limits."
@@ -251,7 +252,10 @@ def write_fleet_pages(
         write_page(folder / page, arm, parts, lead=lead, provenance=provenance)
     path, lead = folder / "report.html", lead_sentence(fleet)
     sections = list(_fleet_sections(fleet, pages))
-    write_page(path, "Fleet", sections, lead=lead, provenance=provenance)
+    arms = [*dict.fromkeys(x.arm for x in fleet.alarms)]
+    more = f" and {len(arms) - _NAMED} more" if len(arms) > _NAMED else ""
+    title = f"Fleet: {', '.join(arms[:_NAMED]) or 'no arm'}{more} changed"
+    write_page(path, title, sections, lead=lead, provenance=provenance)
     with atomic_path(folder / "fleet.prom") as temporary:
         temporary.write_text(prometheus_text(fleet), encoding="utf-8")
     return path

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hybrid.diagnosis.answer.diagnosis import listed
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, lines_figure
 from hybrid.report.table import Table
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from hybrid.inspect import Inspection
     from hybrid.recording import Recording
     from hybrid.recording.reading import Used
+
+
+_MOST_UNTOLD = 6  # parameters in a sentence
 
 
 def readings_tables(inspections: Sequence[Inspection]) -> list[Table]:
@@ -97,17 +101,15 @@ def joints_table(inspections: Sequence[Inspection]) -> Table:
         highest = max(x.high for x in each)
         turn, force = ("" if x in usual else f" {x}" for x in each[0].units)
         lag = [x.lag for x in each if x.lag is not None]
-        rows.append(
-            (
-                each[0].joint,
-                f"{min(x.low for x in each):.3g} … {highest:.3g}{turn}",
-                f"{max(x.fastest for x in each):.3g}{turn and f'{turn}/s'}",
-                f"{moving:.0%}",
-                f"{step:.2g}{turn}" if np.isfinite(step) else "–",
-                f"{least:.3g} … {most:.3g}{force}" if torque else "–",
-                f"{1000 * float(np.median(lag)):.0f}".replace("-", "−") if lag else "–",
-            )
+        cells = (
+            f"{min(x.low for x in each):.3g} … {highest:.3g}{turn}",
+            f"{max(x.fastest for x in each):.3g}{turn and f'{turn}/s'}",
+            f"{moving:.0%}",
+            f"{step:.2g}{turn}" if np.isfinite(step) else "–",
+            f"{least:.3g} … {most:.3g}{force}" if torque else "–",
+            f"{1000 * float(np.median(lag)):.0f}" if lag else "–",
         )
+        rows.append((each[0].joint, *(x.replace("-", "−") for x in cells)))
     turn, force = usual
     header = ["joint", f"q, {turn}", f"fastest, {turn}/s", "moves"]
     header += [f"step of q, {turn}", f"torque, {force}", "q after command, ms"]
@@ -133,11 +135,14 @@ def untold_sentences(inspections: Sequence[Inspection]) -> list[str]:
     excited = [(x.excitation, x.recording.source) for x in usable if x.excitation]
     if excited:
         found, source = min(excited, key=lambda pair: len(pair[0].untold))
+        told = len(found.names) - len(found.untold)
+        rest = list(found.untold[:_MOST_UNTOLD])
+        if len(found.untold) > len(rest):
+            rest.append(f"{len(found.untold) - len(rest)} more")
         sentences.append(
-            f"The best log alone, {Path(source).name}: "
-            f"{len(found.names) - len(found.untold)} of {len(found.names)} base "
-            f"parameters and drives differ from zero, condition {found.condition:.0f}"
-            + (f"; not {', '.join(found.untold)}." if found.untold else ".")
+            f"The best log alone, {Path(source).name}, tells {told} of "
+            f"{len(found.names)} parameters of links and drives from zero (condition "
+            f"number {found.condition:.0f}){f'; not {listed(rest)}' if rest else ''}."
         )
     return sentences
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLACK, BLUE, PALE, RED, lines_figure
 from hybrid.report.table import Table
@@ -23,7 +25,9 @@ def gap_table(fit: ServoFit) -> Table:
     errors = fit.before, fit.plain, fit.after, fit.floor
     for j, joint in enumerate(fit.robot.joints):
         rows.append((joint, *(f"{1000 * x[j]:.2f}" for x in errors)))
-    rows.append(("mean", *(f"{1000 * x.mean():.2f}" for x in errors)))
+    moving = np.array([x not in fit.resting for x in fit.robot.joints])
+    label = "mean" if moving.all() else "mean of joints that move"
+    rows.append((label, *(f"{1000 * x[moving].mean():.2f}" for x in errors)))
     caption = (
         f"RMS error of open-loop replays of {fit.seconds:.0f} s unseen motion, mrad"
     )
@@ -42,7 +46,7 @@ def findings_table(fit: ServoFit) -> Table:
             f"{x.interval[0]:.4g} … {x.interval[1]:.4g}",
             x.unit,
             f"{1000 * x.worth:.2f}",
-            " or ".join((x.effect, *x.equivalents)),
+            " or ".join((x.effect, *x.equivalents)).replace("_", " "),
         )
         for x in fit.findings
     ]
@@ -84,24 +88,32 @@ def write_servo_page(
     fit: ServoFit,
     replay: ServoReplay,
     *,
+    fixed: str,
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write the page of a servo fit."""
+    """Write the page of a servo fit; ``fixed`` is the simulator beside it."""
+    head, _, causes = fit.sentence.partition(": ")
+    remedy = (
+        f"Simulate with {fixed}, which lies beside this page: it has these numbers, as "
+        "far as MJCF can express them. Then diagnose it with other logs.\n\n"
+        "Worth: by how much unseen replays get worse with the file's number."
+    )
+    nothing = "Nothing: no number of the file is certainly wrong."
     sections = [
+        Section(
+            "What to do",
+            remedy if fit.findings else nothing,
+            table=findings_table(fit) if fit.findings else None,
+        ),
         Section("How far replays miss", table=gap_table(fit)),
         Section(
             "An unseen motion",
             figure=replay_figure(replay, fit.robot.joints),
             caption=f"{Path(replay.source).name}: replayed from its first state.",
         ),
-        Section(
-            "What the file has wrong",
-            "Worth: error of unseen replays that comes back with the file's number.",
-            table=findings_table(fit),
-        ),
-        Section("All numbers", table=servos_table(fit)),
         Section("What these logs cannot tell", "\n\n".join(f"{x}." for x in fit.notes)),
+        Section("All numbers", table=servos_table(fit)),
     ]
-    name = fit.robot.name
-    title = f"{name}: command and position"
-    write_page(path, title, sections, lead=fit.sentence, provenance=provenance)
+    title = f"{fit.robot.name}: {head[:1].lower()}{head[1:]}"
+    lead = causes[:1].upper() + causes[1:]
+    write_page(path, title, sections, lead=lead, provenance=provenance)

@@ -85,7 +85,10 @@ def capsules_from_robot(robot: Robot) -> Capsules:
         segment, r = _covering(points @ R.T + p)
         found.append((k, segment, r + extra, name))
     if not any(k >= 0 for k, *_ in found):
-        raise RobotError(f"{path.name} holds no collision geometry of the arm")
+        raise RobotError(
+            f"{path.name} holds no collision geometry of the arm; valid is a file that "
+            "has it, or motions that keep clear of nothing (no clearance, no floor)"
+        )
     link, ends, radius, names = zip(*found, strict=True)
     return Capsules(np.array(link), np.array(ends), np.array(radius), names)
 

@@ -3,6 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Mapping
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, files
 from importlib.util import find_spec
@@ -11,6 +12,7 @@ from pathlib import Path
 from hybrid.errors import RobotError
 from hybrid.examples import example_robots
 
+_MOST_NAMES = 12  # in an error
 _EXAMPLES, _DESCRIPTIONS = "example-robot-data", "robot_descriptions"
 
 
@@ -44,9 +46,13 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
     if Path(name).suffix:
         return path
     shown = {x.removesuffix("_description") for x in described}
-    names = ", ".join(sorted({*examples, *shown, *own}))
+    names = sorted({*examples, *shown, *own})
+    if len(names) > _MOST_NAMES:
+        names = [*get_close_matches(name, names, _MOST_NAMES, 0.0), "others"]
     more = "" if examples else f"; the package {_EXAMPLES} has more"
-    raise RobotError(f"{name}: no such robot file; valid are files and {names}{more}")
+    raise RobotError(
+        f"{name}: no such robot file; valid are files and {', '.join(names)}{more}"
+    )
 
 
 def _examples() -> Mapping[str, Path]:

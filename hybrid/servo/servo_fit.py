@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.errors import HybridError
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import QUANTITIES, Drive
@@ -121,14 +122,15 @@ class ServoFit(Shown):
         before, after = (
             1000 * float(x[moving].mean()) for x in (self.before, self.after)
         )
-        names = list(dict.fromkeys(f"{x.quantity} at {x.joint}" for x in self.findings))
+        each = ((x.quantity.replace("_", " "), x.joint) for x in self.findings)
+        names = [f"{quantity} at {joint}" for quantity, joint in dict.fromkeys(each)]
         shown = ", ".join(names[:4]) + (
             f" and {len(names) - 4} more" if len(names) > 4 else ""
         )
         cause = f"the file is wrong in {shown}" if names else "nothing stands out"
         text = (
             f"Replays of unseen motion miss by {after:.1f} instead of {before:.1f} "
-            f"mrad (mean of joints): {cause}."
+            f"mrad (mean of joints that move): {cause}."
         )
         left = [j for j in moving if self.after[j] >= _UNKNOWN * self.floor[j]]
         if not left:
@@ -162,9 +164,15 @@ class ServoFit(Shown):
         return ServoReplay(t, longest.command, longest.q, before, after, longest.source)
 
     def save(self, path: str | Path) -> None:
-        """Write the robot's own file with these servos, as far as MJCF can express."""
+        """Write the robot's own file with these servos, as far as MJCF can express.
+
+        Raises:
+            HybridError: The path does not end in ``.xml`` or ``.mjcf``.
+        """
         from hybrid.servo.write import write_servos
 
+        if Path(path).suffix.lower() not in (".xml", ".mjcf"):
+            raise HybridError(f"{path}: an arm with servos is saved as .xml")
         write_servos(self.robot, self.written, path, self.asked)
 
     def as_dict(self) -> dict[str, Any]:

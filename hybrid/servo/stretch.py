@@ -111,19 +111,21 @@ def without_torque(recordings: Sequence[Recording]) -> bool:
             "logs that all have torque, or none"
         )
     for x in lacking:
-        _check_command(x)
+        _check_command(x, "neither torque nor command", "one of them")
     return bool(lacking)
 
 
-def _check_command(recording: Recording) -> None:
+def _check_command(
+    recording: Recording, lacks: str = "no command", valid: str = "commanded positions"
+) -> None:
     """Refuse a log without command, with the reasons why columns are not used."""
     if recording.command is None:
         aside = recording.reading.aside if recording.reading else ()
         reasons = "; ".join(dict.fromkeys(why for _, why in aside))
         raise RecordingError(
-            f"{recording.source or 'recording'}: neither torque nor command"
+            f"{recording.source or 'recording'}: {lacks}"
             f"{f' (set aside: {reasons})' if reasons else ''}; valid are columns of "
-            "one of them beside positions"
+            f"{valid} beside positions"
         )
 
 

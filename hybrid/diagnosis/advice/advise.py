@@ -18,6 +18,7 @@ from hybrid.diagnosis.advice.separation import (
 )
 from hybrid.diagnosis.answer.diagnosis import Advice
 from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.answer.words import effect_words
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.effects import Port, effect_class
@@ -30,7 +31,7 @@ _SHORTLIST = 4  # experiments for which shapes are fitted
 _MOST_JOINTS = 3
 _RATE = 500.0  # Hz, highest of references
 _WHERE = "; it settles whether it is {} at {} or {} at {}"
-_IF_ANY = "; it settles whether it is {}, or else bounds it"
+_IF_ANY = "; it shows {}, or how small it is"
 # Words of the variable that a residual depends on; start of the experiment's name.
 _ISOLATING = (
     ("past", "a multisine"),
@@ -145,8 +146,7 @@ def _placed(search: Search, plan: Plan, both: Sequence[Term | Candidate]) -> Pla
     if plan.experiment is None or text != _run(plan.experiment):
         return plan  # it confirms one of the effects only
     (one, here), (two, there) = map(search.placed, both)
-    laws = one.replace("_", " "), two.replace("_", " ")
-    text += _WHERE.format(laws[0], here, laws[1], there)
+    text += _WHERE.format(effect_words(one), here, effect_words(two), there)
     return replace(plan, advice=replace(plan.advice, experiment=text))
 
 
@@ -183,8 +183,8 @@ def choose(
             if min(contrast) > both[0]:
                 both = min(contrast), Plan(Advice(text, splits, sizes[k]), tried[k])
             if max(contrast) > one[0]:
-                confirmed = splits[int(np.argmax(contrast))].replace("_", " ")
-                text += _IF_ANY.format(confirmed)
+                confirmed = splits[int(np.argmax(contrast))]
+                text += _IF_ANY.format(effect_words(confirmed))
                 one = max(contrast), Plan(Advice(text, splits, sizes[k]), tried[k])
         if both[1] is not None:
             break

@@ -11,6 +11,7 @@ from hybrid.diagnosis.answer.findings import changed_joints
 from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
+from hybrid.diagnosis.answer.words import effect_words, effects_listed
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
 from hybrid.progress import Progress
@@ -18,7 +19,7 @@ from hybrid.progress import Progress
 _DIVERGED = 1.0  # rad; a larger motion error has no meaning
 _STEP_ERROR = 0.1  # of the motion error without findings
 _ASTRAY = (
-    "replayed, the simulator leaves the motion, with {} or without: its shrinkage in "
+    "in replays the simulator leaves the motion, with {} or without: its shrinkage in "
     "motion is not known"
 )
 _NO_REPLAY = (
@@ -46,7 +47,7 @@ def with_motion_gap(
     if not result.effects:
         return result
     if progress:
-        progress("replaying the simulator", 0.8)
+        progress("replaying the simulator", 0.85)
     try:
         diagnosis = _in_motion(result, Replay(result.scored), rng)
     except HybridError as error:
@@ -82,9 +83,9 @@ def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diag
     if share and diagnosis.verdict == "explained":
         left = max(diagnosis.unexplained, min(share, 1.0))
         diagnosis = replace(diagnosis, verdict="partly_explained", unexplained=left)
-    notes = [_DENIED.format(f.effect) for f in denied]
+    notes = [_DENIED.format(effect_words(f.effect)) for f in denied]
     for words, effects in ((_ASTRAY, diverged), (_NO_REPLAY, unknown)):
-        notes += [words.format(", ".join(effects))] if effects else []
+        notes += [words.format(effects_listed(effects, "and"))] if effects else []
     return _noted(diagnosis, [*notes, *step_warning(replay)])
 
 

@@ -16,7 +16,13 @@ from hybrid.diagnosis.answer.diagnosis import (
 from hybrid.shown import decimals_of
 
 MOST_LINES, LEAST_FINDINGS = 10, 3
+_MOST_TEXTS = 3  # in a line
 _TORQUE = "N·m"
+_SAME = 0.005  # a smaller relative difference is not shown
+_FRICTION = {
+    "coulomb": "Coulomb", "stribeck": "Stribeck", "viscous": "viscous",
+    "nonlinear_viscous": "nonlinear viscous", "presliding": "presliding",
+}  # fmt: skip
 _NO_BREAK = "\u00a0"  # between a number and its unit
 
 
@@ -41,7 +47,7 @@ def headline(diagnosis: Diagnosis) -> str:
     That the file is not of this arm comes before: effects then make up for it.
     """
     named = [
-        f"{f.effect.replace('_', ' ')} at {joints_named(f.joints)}"
+        f"{effect_words(f.effect)} at {joints_named(f.joints)}"
         for f in diagnosis.findings
     ]
     where = joints_named(gap_joints(diagnosis))
@@ -49,7 +55,7 @@ def headline(diagnosis: Diagnosis) -> str:
         "no_gap": _fits(diagnosis),
         "not_excited": "the recordings move the arm too little to tell",
         "unexplained": f"no known cause of the gap at {where}",
-    }.get(diagnosis.verdict, f"{_few(named, between=', ')}; {_rest(diagnosis)}")
+    }.get(diagnosis.verdict, f"{_few(named, ', ', 'effect')}; {_rest(diagnosis)}")
     if diagnosis.unlike:
         text = f"not the file of this arm: {diagnosis.unlike}; {text}"
     return text[:1].upper() + text[1:]
@@ -78,7 +84,7 @@ def _rest(diagnosis: Diagnosis) -> str:
     whole = f"{number(x['before'])}{end or _NO_BREAK + _TORQUE}"
     if x["named"] >= x["before"]:
         return f"most is left at {joint}, none of {whole} is explained"
-    return f"with these alone most is left at {joint}, {number(x['named'])} of {whole}"
+    return f"most is left at {joint}: {number(x['named'])} of {whole}"
 
 
 def joints_named(names: Sequence[str]) -> str:
@@ -143,6 +149,13 @@ def _unseen(diagnosis: Diagnosis) -> Iterator[tuple[str, str, dict[str, float]]]
             yield joints[i], _other_unit(diagnosis, i), gaps
 
 
+def repaired(diagnosis: Diagnosis) -> str:
+    """What the repaired simulator holds: the findings, perhaps unnamed effects too."""
+    gaps = [(x["named"], x["after"]) for *_, x in _unseen(diagnosis)]
+    alike = all(np.isclose(*pair, rtol=_SAME) for pair in gaps)
+    return "repaired" if alike else "repaired, unnamed effects included"
+
+
 def _unit(diagnosis: Diagnosis, joint: int) -> str:
     return diagnosis.units[joint] if diagnosis.units else _TORQUE
 
@@ -176,8 +189,7 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
     ]
     parts = cautions(diagnosis)
     if falls:
-        repaired = _few(falls, between=", ")
-        parts = [f"repaired by all effects, unnamed ones too, {repaired}", *parts]
+        parts = [f"{repaired(diagnosis)}, {_few(falls, between=', ')}", *parts]
     if parts:
         yield f"On held-out motion, in {_TORQUE}: {'; '.join(parts)}"
 
@@ -222,11 +234,10 @@ def _endings(diagnosis: Diagnosis) -> Iterator[str]:
     if diagnosis.warnings:
         yield f"Take care: {_few(diagnosis.warnings)}"
     if diagnosis.advice:
-        first = diagnosis.advice[0]
-        splits = (
-            f", to tell {effects_listed(first.splits, 'from')}" if first.splits else ""
-        )
-        yield f"Run next: {first.experiment}{splits}"
+        first, splits = diagnosis.advice[0], ""
+        if first.splits and "; it " not in first.experiment:
+            splits = f", to tell {effects_listed(first.splits, 'from')}"
+        yield f"Next: {first.experiment}{splits}"
 
 
 def shrink_sentence(kind: str, s: Shrink) -> str:
@@ -267,15 +278,22 @@ def range_name(region: Region) -> str:
     return f"{ends}{_NO_BREAK}{region.unit}".rstrip(_NO_BREAK)
 
 
+def effect_words(effect_id: str) -> str:
+    """An effect's id in words: ``Coulomb friction``, ``torque ripple``."""
+    if effect_id in _FRICTION:
+        return f"{_FRICTION[effect_id]} friction"
+    return effect_id.replace("_", " ")
+
+
 def effect_name(effect_id: str) -> str:
     """An effect's id in words, with a capital letter."""
-    name = effect_id.replace("_", " ")
+    name = effect_words(effect_id)
     return name[:1].upper() + name[1:]
 
 
 def effects_listed(effect_ids: Sequence[str], last: str) -> str:
-    """Effects in words: ``coulomb, stribeck or presliding``."""
-    return listed([x.replace("_", " ") for x in effect_ids], last)
+    """Effects in words: ``spring, payload or presliding friction``."""
+    return listed([*map(effect_words, effect_ids)], last)
 
 
 def value_cells(value: Value) -> tuple[str, str, str]:
@@ -304,6 +322,9 @@ def number(x: float, digits: int = 3) -> str:
     return f"{float(f'{x:.{digits}g}'):.6g}".replace("-", "−")
 
 
-def _few(texts: Sequence[str], most: int = 3, between: str = "; ") -> str:
-    more = f" and {len(texts) - most} more" if len(texts) > most else ""
-    return between.join(texts[:most]) + more
+def _few(texts: Sequence[str], between: str = "; ", kind: str = "") -> str:
+    """Join the first three texts, and count the others of their kind."""
+    rest = len(texts) - _MOST_TEXTS
+    kind = f" {kind}{'s' * (rest > 1)}" if kind else ""
+    more = f" and {rest} more{kind}" if rest > 0 else ""
+    return between.join(texts[:_MOST_TEXTS]) + more

@@ -1,4 +1,4 @@
-"""The background of a gap: small errors that every simulator has, and that no cause is.
+"""The background of a gap: small errors that every simulator has, and no causes.
 
 They are errors of the numbers of the robot file, the shape of dry friction near rest,
 and the time between two samples.

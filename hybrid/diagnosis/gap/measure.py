@@ -20,6 +20,7 @@ from hybrid.identification.preparation import (
     motions_from_logs,
 )
 from hybrid.recording import Recording
+from hybrid.regression.data import check_torque
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
 from hybrid.signals.filters import LOWER_BAND, butterworth, filter_reach, passes_all
@@ -60,7 +61,8 @@ def measure_gap(
         )
     logged, cutoff = motions_from_logs(recordings, cutoff)
     cutoff = min(cutoff, *(m.rate / 2 for m in logged))  # no filter lets through more
-    logged = [_with_torque(correct(m) if correct else m) for m in logged]
+    logged = [correct(m) if correct else m for m in logged]
+    check_torque(logged)
     faults = [_faults(x, m, cutoff) for x, m in zip(recordings, logged, strict=True)]
     motions = [
         decimated_motion(replace(m, mask=m.mask & ~f.posture), cutoff)
@@ -88,15 +90,6 @@ def measure_gap(
         np.concatenate(left), used, fold, trajectory,
         tuple(note for f in faults for note in f.notes),
     )  # fmt: skip
-
-
-def _with_torque(motion: Motion) -> Motion:
-    if np.isfinite(motion.tau).all():
-        return motion
-    raise RecordingError(
-        f"{motion.source or 'recording'}: no torque; valid is a log of time, positions "
-        "and torques"
-    )
 
 
 def _standing(

@@ -160,8 +160,8 @@ def _friction_note(robot: Robot, x: FittedFriction) -> str:
     falls = x.values.get("fall", 0.0) > 0
     kinds = "dry, falling and viscous" if falls else "dry and viscous"
     return (
-        f"friction of {robot.joints[x.joint]} ({ids}), as {kinds} friction "
-        f"that miss {x.missed:.3g} of {x.torque:.3g} "
+        f"friction of {robot.joints[x.joint]} ({ids}): {kinds} friction in its place "
+        f"leaves {x.missed:.3g} of {x.torque:.3g} "
         f"{robot.chain.unit_at([x.joint], 'N·m')} RMS"
     )
 
