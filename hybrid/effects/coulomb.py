@@ -7,6 +7,7 @@ class Coulomb(JointEffect):
     """Dry friction: F_c·sgn v."""
 
     id = "coulomb"
+    words = "Coulomb friction"
     usual = True
     port = Port.DRIVE
     fields = {"level": "frictionloss"}

@@ -55,6 +55,7 @@ class Effect(InPlant, Instant, ABC):
     """
 
     id: ClassVar[str]
+    words: ClassVar[str] = ""  # its name in a sentence, if that is not the id
     port: ClassVar[Port]
     scope: ClassVar[Scope] = "joint"
     gains: ClassVar[tuple[Quantity, ...]]

@@ -7,6 +7,7 @@ class NonlinearViscous(JointEffect):
     """Quadratic and cubic viscous friction: c₂·v|v| + c₃·v³."""
 
     id = "nonlinear_viscous"
+    words = "nonlinear viscous friction"
     port = Port.DRIVE
     fields = {"quadratic": "quadratic", "cubic": "cubic"}
     gains = (

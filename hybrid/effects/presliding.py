@@ -19,6 +19,7 @@ class Presliding(Effect):
     """
 
     id = "presliding"
+    words = "presliding friction"
     port = Port.DRIVE
     fields = {"level": "friction"}
     memory = ("q", "h")

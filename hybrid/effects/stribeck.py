@@ -11,6 +11,7 @@ class Stribeck(JointEffect):
     """Break-away friction above the Coulomb level: F_s·exp(−|v/v_s|^γ)·sgn v."""
 
     id = "stribeck"
+    words = "Stribeck friction"
     port = Port.DRIVE
     fields = {"level": "friction"}
     dry = True

@@ -9,6 +9,7 @@ class Viscous(JointEffect):
     """Viscous friction: F_v·v."""
 
     id = "viscous"
+    words = "viscous friction"
     usual = True
     port = Port.DRIVE
     fields = {"coefficient": "damping"}

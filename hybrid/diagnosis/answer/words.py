@@ -13,16 +13,13 @@ from hybrid.diagnosis.answer.diagnosis import (
     Value,
     listed,
 )
+from hybrid.effects import effect_classes
 from hybrid.shown import decimals_of
 
 MOST_LINES, LEAST_FINDINGS = 10, 3
 _MOST_TEXTS = 3  # in a line
 _TORQUE = "N·m"
 _SAME = 0.005  # a smaller relative difference is not shown
-_FRICTION = {
-    "coulomb": "Coulomb", "stribeck": "Stribeck", "viscous": "viscous",
-    "nonlinear_viscous": "nonlinear viscous", "presliding": "presliding",
-}  # fmt: skip
 _NO_BREAK = "\u00a0"  # between a number and its unit
 
 
@@ -280,9 +277,8 @@ def range_name(region: Region) -> str:
 
 def effect_words(effect_id: str) -> str:
     """An effect's id in words: ``Coulomb friction``, ``torque ripple``."""
-    if effect_id in _FRICTION:
-        return f"{_FRICTION[effect_id]} friction"
-    return effect_id.replace("_", " ")
+    known = effect_classes().get(effect_id)
+    return (known and known.words) or effect_id.replace("_", " ")
 
 
 def effect_name(effect_id: str) -> str:
