@@ -228,4 +228,5 @@ def joined(one: Gap, other: Gap) -> Gap:
         fold=np.concatenate([one.fold, other.fold]),
         trajectory=np.concatenate([one.trajectory, later]),
         healthy=(),
+        joins=(one, other),
     )

@@ -1,5 +1,7 @@
 """The gap: measured torque less the torque that the simulator needs."""
 
+from __future__ import annotations
+
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -46,6 +48,8 @@ class Gap:
         notes: Which samples are not used, and why, in words.
         healthy: Torque of a healthy arm that was subtracted from the logs before, along
             each motion, shape (N, n), [N·m]; empty without one.
+        joins: The gaps whose motions it has, one after the other; empty for one that
+            was measured.
     """
 
     robot: Robot
@@ -59,6 +63,7 @@ class Gap:
     trajectory: NDArray[np.intp]
     notes: tuple[str, ...] = ()
     healthy: tuple[Array, ...] = ()
+    joins: tuple[Gap, ...] = ()
     _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 
     @property
@@ -211,7 +216,9 @@ class Gap:
         A further derivative of a noisy position is mostly noise. The gain of a noisy
         column would come out too small.
         """
-        parts = []
+        parts = [part for gap in self.joins for part in gap.lower_band]
+        if parts:
+            return parts
         for m, body, sampler in self:
             low = partial(butterworth, rate=m.rate, cutoff=LOWER_BAND * self.cutoff)
             # The torque is filtered: simulated again, its dry friction would reverse
