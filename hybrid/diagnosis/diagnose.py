@@ -24,7 +24,7 @@ from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.evidence.logs import measured, since_first
 from hybrid.diagnosis.explanations.account import Account, account
-from hybrid.diagnosis.explanations.belief import unknown_worth
+from hybrid.diagnosis.explanations.belief import is_known
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.explanation import Explanation, explain, shares
 from hybrid.diagnosis.explanations.refit import refit
@@ -266,7 +266,7 @@ def _drop_improbable(
         probabilities, its own first; and the alternatives themselves, with the most
         probable one at another joint.
     """
-    beliefs = [b for b in search.beliefs if b.worth > unknown_worth(search, b.cause)]
+    beliefs = [b for b in search.beliefs if b.worth > 0 and is_known(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
     kinds, alike, names = {}, {}, search.gap.robot.joints

@@ -129,10 +129,23 @@ def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str | None:
     return end[1] if own - there < search.model_error_odds(cause) else None
 
 
-def unknown_worth(search: Search, cause: Cause) -> float:
-    """Gain in score by unknown laws, at the joint with most of a cause's torque."""
+def is_known(search: Search, cause: Cause) -> bool:
+    """Whether known causes are worth more than unknown laws, where a cause acts most.
+
+    That is the joint with most of its torque. All known causes there count together:
+    each alone is worth little if the others can take its place.
+    """
     evidence, causes = search.evidence, search.causes
-    gains = evidence.solve(search.columns(causes)).of(cause.index)
-    joint = int(np.argmax(evidence.fitted_squares(cause.index, gains)))
-    rest = [c for c in causes if c.candidate is not None or c.place[1] != (joint,)]
-    return search.score(causes) - search.score(rest)
+    solution = evidence.solve(search.columns(causes))
+
+    def joint(c: Cause) -> int:
+        squares = evidence.fitted_squares(c.index, solution.of(c.index))
+        return int(np.argmax(squares))
+
+    at = joint(cause)
+    known = [c for c in causes if c.candidate is not None and joint(c) == at]
+    unknown = [c for c in causes if c.candidate is None and c.place[1] == (at,)]
+    without_known, without_unknown = (
+        search.score([c for c in causes if c not in lost]) for lost in (known, unknown)
+    )
+    return without_known < without_unknown
