@@ -908,7 +908,7 @@ def test_causes_that_unknown_laws_could_be_are_dropped(monkeypatch):
         causes=[law, one, two], terms=[term],
         gap=SimpleNamespace(robot=SimpleNamespace(joints=("hip", "knee"))),
     )  # fmt: skip
-    monkeypatch.setattr(diagnose_module, "unknown_worth", lambda search, cause: 2.0)
+    monkeypatch.setattr(diagnose_module, "is_known", lambda search, cause: cause is one)
     doubts = []
     kinds, alike = _drop_improbable(search, doubts)
     assert search.causes == [law, one]

@@ -17,7 +17,7 @@ from hybrid.diagnosis.explanations.belief import (
     _independent,
     _limit,
     beliefs,
-    unknown_worth,
+    is_known,
 )
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.explanation import Explanation
@@ -537,17 +537,23 @@ def test_a_law_at_the_end_of_a_range_is_another_unless_it_is_far_better(monkeypa
     assert _limit(at, replace(made, candidate=drag), []) is None
 
 
-def test_unknown_laws_are_worth_what_is_lost_without_those_of_the_joint():
-    """At the joint with most of the torque of a cause."""
+def test_all_known_causes_of_a_joint_are_weighed_against_its_unknown_laws():
+    """The joint is that with most of the torque of a cause."""
     near, far = cause("speed", 0, known=False), cause("time", 1, known=False)
-    at = Steps({"aspeedtime": 50.0, "atime": 41.0, "aspeed": 30.0})
-    at.causes = [A, near, far]
-    for squares, worth in (((2.0, 1.0), 9.0), ((1.0, 2.0), 20.0)):
-        at.evidence = SimpleNamespace(
-            solve=lambda index: SimpleNamespace(of=lambda own: own),
-            fitted_squares=lambda own, gains, x=squares: np.array(x),
-        )
-        assert unknown_worth(at, A) == worth
+    torque = {A.index[0]: (2.0, 1.0), B.index[0]: (1.0, 2.0)}
+    at = Steps(
+        {"abtime": 30.0, "bspeedtime": 31.0, "abspeed": 12.0, "aspeedtime": 20.0}
+    )
+    at.causes = [A, B, near, far]
+    at.evidence = SimpleNamespace(
+        solve=lambda index: SimpleNamespace(of=lambda own: own),
+        fitted_squares=lambda own, gains: np.array(torque[own[0]]),
+    )
+    assert not is_known(at, A) and not is_known(at, B)
+    # Either alone is worth less than the unknown law, both together more.
+    torque[B.index[0]] = (2.0, 1.0)
+    at.scores["speedtime"] = 3.0
+    assert is_known(at, A) and is_known(at, B)
 
 
 # --- accounts -------------------------------------------------------------------------
