@@ -129,7 +129,7 @@ def test_an_arm_without_rotors_and_friction_gets_usual_ones(arm):
 
 
 def test_an_unknown_arm_is_refused_with_those_that_are_known():
-    with pytest.raises(HybridError, match="panda, .*ur10, .*ur5"):
+    with pytest.raises(HybridError, match="valid are files and .*scara, .*ur10, "):
         load_arm("no_such_arm")
 
 

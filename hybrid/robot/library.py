@@ -48,7 +48,8 @@ def robot_file(source: str | Path, home: Path | None = None) -> Path:
     shown = {x.removesuffix("_description") for x in described}
     names = sorted({*examples, *shown, *own})
     if len(names) > _MOST_NAMES:
-        names = [*get_close_matches(name, names, _MOST_NAMES, 0.0), "others"]
+        near = get_close_matches(name, names, _MOST_NAMES) or sorted(own)
+        names = [*near, f"{len(names) - len(near)} others"]
     more = "" if examples else f"; the package {_EXAMPLES} has more"
     raise RobotError(
         f"{name}: no such robot file; valid are files and {', '.join(names)}{more}"
