@@ -236,21 +236,14 @@ class Gap:
         the torque of a healthy arm, which is mostly friction.
         """
         parts, band = [], LOWER_BAND * self.cutoff
-        none = (None,) * len(self.motions)
-        known = zip(self.motions, self.healthy or none, strict=True)
-        for (m, more), (slow, body, sampler) in zip(
-            known, self.lower_band, strict=True
-        ):
+        more = self.healthy or [np.zeros(1)] * len(self.motions)
+        each = zip(self.motions, more, self.lower_band, strict=True)
+        for m, healthy, (slow, body, sampler) in each:
             dry = self.robot.dry_friction(m.v)
-            low = partial(butterworth, rate=m.rate)
-            kept = dry if more is None else dry + more
-            if band < _FRICTION_BAND:
-                narrow = low(dry, cutoff=band)
-                if self.cutoff >= _FRICTION_BAND:
-                    kept = low(kept, cutoff=_FRICTION_BAND)
-                slow = replace(slow, tau=slow.tau + kept - narrow)
-            elif more is not None:
-                slow = replace(slow, tau=slow.tau + low(more, cutoff=band))
+            low, kept = partial(butterworth, rate=m.rate), dry + healthy
+            if self.cutoff >= _FRICTION_BAND:
+                kept = low(kept, cutoff=max(band, _FRICTION_BAND))
+            slow = replace(slow, tau=slow.tau + kept - low(dry, cutoff=band))
             parts.append((slow, body, sampler))
         return parts
 
