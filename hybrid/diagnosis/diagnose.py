@@ -34,13 +34,7 @@ from hybrid.diagnosis.gap.coverage import not_excited, too_little_motion
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.likeness import Unlike, unlike
 from hybrid.diagnosis.gap.measure import split
-from hybrid.diagnosis.scale import (
-    check_payloads,
-    in_doubt,
-    links_note,
-    settled,
-    weighed_links,
-)
+from hybrid.diagnosis.scale import in_doubt, settled, weighed
 from hybrid.diagnosis.verdict import verdict_of
 from hybrid.effects import Port, effect_at
 from hybrid.identification.preparation import checked_logs
@@ -127,12 +121,8 @@ def examine(
 ) -> Result:
     """:func:`diagnose` without replay and advice, with all intermediate results."""
     tell, rng = progress or silent, np.random.default_rng(seed)
-    known, notes = known_mass or {}, list[str]()
-    if isinstance(robot, Robot):
-        notes = links_note(robot, known)
-        robot = weighed_links(robot, known)
-    else:
-        check_payloads(robot.robot, known)
+    known = known_mass or {}
+    robot, notes = weighed(robot, known)
     tell("measuring the gap", 0.0)
     case = _Case.of(robot, recordings, cutoff, without)
     result = _examined(case, tell, rng)

@@ -13,6 +13,7 @@ from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Value, listed
 from hybrid.diagnosis.answer.words import number, value_cells
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import IdentificationError, RobotError
+from hybrid.model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.servo.drive import known_masses
 from hybrid.statistics import HALF_WIDTH
@@ -29,27 +30,31 @@ _SETTLED = (
 _LINKS = "the links have {} times the masses of the file, by the known mass at {}"
 
 
-def weighed_links(robot: Robot, known: Mapping[str, float]) -> Robot:
-    """The arm of a file with known masses of links, by the joint that moves each, [kg].
+def weighed(
+    simulator: Robot | DynamicModel, known: Mapping[str, float]
+) -> tuple[Robot | DynamicModel, list[str]]:
+    """The simulator with known masses, by joint, [kg], and what to say of them.
 
-    Torque shows masses only by their ratios, so that the file is off by one factor: the
-    links without a known mass are as far off as those with one.
+    Torque shows masses by their ratios, so that a file is off by one factor: its links
+    without a known mass are as far off as those with one. To a model a known mass is
+    that of a payload, which does not change it.
 
     Raises:
         RobotError: There is no such joint, or the mass is not above 0.
     """
     if not known:
-        return robot
-    ratio = known_masses(robot, known)
-    return robot.with_inertial(robot.chain.inertial * ratio[:, None])
+        return simulator, []
+    if isinstance(simulator, DynamicModel):
+        _check_payloads(simulator.robot, known)
+        return simulator, []
+    ratio = known_masses(simulator, known)
+    ends = dict.fromkeys(number(float(x)) for x in (ratio.min(), ratio.max()))
+    note = _LINKS.format(" to ".join(ends), listed([*known]))
+    inertial = simulator.chain.inertial * ratio[:, None]
+    return simulator.with_inertial(inertial), [note]
 
 
-def check_payloads(robot: Robot, known: Mapping[str, float]) -> None:
-    """Refuse known masses that no arm can carry.
-
-    Raises:
-        RobotError: There is no such joint, or the mass is not above 0.
-    """
+def _check_payloads(robot: Robot, known: Mapping[str, float]) -> None:
     for name, mass in known.items():
         if name not in robot.joints:
             valid = ", ".join(robot.joints)
@@ -60,13 +65,6 @@ def check_payloads(robot: Robot, known: Mapping[str, float]) -> None:
             raise RobotError(
                 f"known mass: {mass:g} kg at {name}; valid are finite masses above 0"
             )
-
-
-def links_note(robot: Robot, known: Mapping[str, float]) -> list[str]:
-    """By how much known masses change those of a file, in words."""
-    ratio = np.unique(known_masses(robot, known))
-    ends = " to ".join(dict.fromkeys(number(float(x)) for x in ratio[[0, -1]]))
-    return [_LINKS.format(ends, listed([*known]))] if known else []
 
 
 def in_doubt(diagnosis: Diagnosis) -> Diagnosis:
