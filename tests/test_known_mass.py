@@ -126,6 +126,21 @@ def test_a_mass_that_the_logs_do_not_show_sets_no_scale(result):
         settled(diagnosis, [vague], {"elbow": 3.0})
 
 
+def test_a_scale_beside_another_gap_may_be_that_of_no_drive(result):
+    """Gains that differ leave a gap, or look like other effects."""
+    diagnosis, known = result.diagnosis, {"elbow": 3.0}
+    assert diagnosis.verdict == "explained"
+    assert settled(diagnosis, result.effects, known).doubts == diagnosis.doubts
+    (payload,) = diagnosis.findings
+    more = replace(payload, effect="torque_gain")
+    for other in (
+        replace(diagnosis, verdict="partly_explained"),
+        replace(diagnosis, findings=(payload, more)),
+    ):
+        (text,) = settled(other, result.effects, known).doubts
+        assert "gains may differ from drive to drive" in text
+
+
 @pytest.mark.parametrize("mass", [0.0, -1.0, np.nan, np.inf])
 def test_no_mass_is_refused_before_any_work(model, mass):
     for simulator in (model, ROBOT):

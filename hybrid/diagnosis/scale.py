@@ -27,6 +27,10 @@ _SETTLED = (
     "Mass and inertia are in true SI units, by the known mass. The files written keep "
     "the scale of the logged torque."
 )
+_NOT_ONE = (
+    "the payload and one scale of torque do not explain the gap alone: the gains may "
+    "differ from drive to drive, and the torque scale is then that of none"
+)
 _LINKS = "the links have {} times the masses of the file, by the known mass at {}"
 
 
@@ -107,7 +111,13 @@ def settled(
     half = HALF_WIDTH * std
     said = Value("arm", "torque scale", scale, "", (scale - half, scale + half))
     found = [_in_true_units(f, scale, std / scale, known) for f in diagnosis.findings]
-    return replace(diagnosis, findings=tuple(found), torque_scale=said)
+    alone = diagnosis.verdict == "explained" and len(found) == len(known)
+    return replace(
+        diagnosis,
+        findings=tuple(found),
+        torque_scale=said,
+        doubts=diagnosis.doubts if alone else (*diagnosis.doubts, _NOT_ONE),
+    )
 
 
 def _scale(
