@@ -8,6 +8,7 @@ import pytest
 from pendulum import gap_of, pendulum, with_torque
 
 from hybrid.diagnosis import diagnose as diagnose_module
+from hybrid.diagnosis import verdict as verdict_module
 from hybrid.diagnosis.answer import command, events, motion_gap
 from hybrid.diagnosis.answer.command import Link, _excess, _plausible, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Shrink, Unseen
@@ -45,11 +46,12 @@ from hybrid.diagnosis.answer.replay import (
 )
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
-from hybrid.diagnosis.diagnose import _drop_improbable, _verdict
+from hybrid.diagnosis.diagnose import _drop_improbable
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.diagnosis.gap.measure import seconds
+from hybrid.diagnosis.verdict import verdict_of
 from hybrid.effects.armature import Armature
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.command_latency import CommandLatency
@@ -857,8 +859,8 @@ def verdict(explained, missed, causes=("f",), left=0.0, *, doubtful=False, littl
     explained, missed = np.array(explained, float), np.array(missed, float)
     found = Account(explained + missed, missed, 0 * missed, missed, ())
     with pytest.MonkeyPatch.context() as m:
-        m.setattr(diagnose_module, "too_little_motion", lambda gap: little)
-        return _verdict(None, found, causes, left, doubtful=doubtful)
+        m.setattr(verdict_module, "too_little_motion", lambda gap: little)
+        return verdict_of(None, found, causes, left, doubtful=doubtful)
 
 
 def test_a_gap_is_explained_where_nothing_is_missed():
@@ -883,8 +885,8 @@ def test_causes_of_other_joints_do_not_explain_a_joint():
         found = Account(np.array([1e4, 1.0]), np.array([0.0, 1.0]),
                         np.array([0.0, 1.0 - part]), np.ones(2), ())  # fmt: skip
         with pytest.MonkeyPatch.context() as m:
-            m.setattr(diagnose_module, "too_little_motion", lambda gap: None)
-            assert _verdict(None, found, ("f",), 0.0, doubtful=False)[0] == word
+            m.setattr(verdict_module, "too_little_motion", lambda gap: None)
+            assert verdict_of(None, found, ("f",), 0.0, doubtful=False)[0] == word
     mostly = verdict([1.0, 0.06], [0.0, 0.05])  # more of it is explained
     assert mostly[0] == "explained"
 

@@ -109,6 +109,7 @@ CALLS: dict[str, Callable[[], Any]] = {
     "paths": lambda: hybrid.read_recordings(None),
     "table": lambda: hybrid.recording_from_table(3),
     "without": lambda: hybrid.diagnose(arm("planar"), [], without=3),
+    "weighed": lambda: hybrid.diagnose(arm("planar"), [], known_mass=3),
     "progress": lambda: hybrid.diagnose(arm("planar"), [], progress=3),
     "known_mass": lambda: hybrid.fit_servo(arm("planar"), [], known_mass=3),
     "free": lambda: hybrid.calibrate(arm("planar"), None, free=3),

@@ -491,6 +491,8 @@ def course(*, too_little=None, healthy=None, verdict="explained", effects=()):
         noise_floor: tuple = (1.0, 2.0)
         where: tuple = ()
         sentence: str = ""
+        findings: tuple = ()
+        warnings: tuple = ()
 
     @dataclass(frozen=True)
     class Of:

@@ -43,7 +43,9 @@ examples:
   hybrid simulate --robot models/coman_like.xml --effects stribeck:elbow --out logs
   hybrid diagnose --robot models/coman_like.xml --recordings logs --out diagnosis
   hybrid diagnose --robot arm.xml --recordings logs --out diagnosis --rerun gap.rrd
-  hybrid diagnose --baseline model.json --recordings new_logs --out changed"""
+  hybrid diagnose --baseline model.json --recordings new_logs --out changed
+  hybrid diagnose --baseline model.json --recordings with_3_kg --out scale \\
+    --known-mass wrist_3=3"""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -57,7 +59,12 @@ def add_arguments(parser: ArgumentParser) -> None:
         "what has changed since?",
     )
     options.add(parser, "--recordings", "--map", "--out", "--cutoff", "--seed")
-    servos.add_arguments(parser)
+    servos.add_arguments(
+        parser,
+        known_mass="masses that were weighed, which set the scale of torque: of the "
+        "link that a joint moves, the file's other links being off by the same factor; "
+        "with --baseline, of what was mounted on that link since",
+    )
     parser.add_argument(
         "--rerun",
         type=Path,
@@ -80,7 +87,7 @@ def run(args: Namespace, screen: Screen) -> None:
         args.out / name for name in (PAGE, CONTENT, fixed.SIMULATOR, fixed.MODEL)
     ]
     options.begin(args, *outputs, *args.rerun)
-    if not servos.check_arguments(args, recordings):
+    if not servos.check_arguments(args, recordings, weighed=True):
         _diagnose_torque(args, simulator, recordings, screen)
     elif args.baseline:
         raise HybridError("--baseline needs logs with torque; these have none")
@@ -96,7 +103,12 @@ def _diagnose_torque(
 ) -> None:
     with screen.working(f"diagnosing {_arm(simulator).name}") as tell:
         result = diagnose.examine(
-            simulator, recordings, cutoff=args.cutoff, seed=args.seed, progress=tell
+            simulator,
+            recordings,
+            cutoff=args.cutoff,
+            known_mass=args.known_mass,
+            seed=args.seed,
+            progress=tell,
         )
         rng = np.random.default_rng(args.seed)
         result = with_motion_gap(result, rng, progress=tell)
@@ -105,7 +117,9 @@ def _diagnose_torque(
             advice = advise(result, rng, directory=folder)
             diagnosis = replace(result.diagnosis, advice=advice, provenance=args.how)
             notes = _fix(result, folder, args.out)
-            found = notes is not None and bool(result.effects or result.command)
+            found = notes is not None and bool(
+                result.effects or result.command or args.known_mass
+            )
             write_diagnosis(
                 replace(result, diagnosis=diagnosis),
                 folder,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -34,6 +34,8 @@ from hybrid.diagnosis.gap.coverage import not_excited, too_little_motion
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.likeness import Unlike, unlike
 from hybrid.diagnosis.gap.measure import split
+from hybrid.diagnosis.scale import in_doubt, settled, weighed
+from hybrid.diagnosis.verdict import verdict_of
 from hybrid.effects import Port, effect_at
 from hybrid.identification.preparation import checked_logs
 from hybrid.model import DynamicModel
@@ -43,8 +45,6 @@ from hybrid.robot import Robot
 from hybrid.signals import Motion
 from hybrid.threads import one_thread
 
-_EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
-_MISSED = 0.05  # share of a joint's squares, of a gap without a cause
 _UNTESTED = (
     "{} acts only on the training samples: its shrinkage is measured on them, and not "
     "on held-out motion"
@@ -71,6 +71,7 @@ def diagnose(
     *,
     cutoff: float | None = None,
     without: Sequence[str] = (),
+    known_mass: Mapping[str, float] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -83,11 +84,14 @@ def diagnose(
         cutoff: Cut-off of the low-pass filter, [Hz]; chosen from the spectrum if not
             given.
         without: Ids of effects to leave out of the library.
+        known_mass: Masses by joint, [kg], which settle the scale of torque: of the link
+            that the joint moves; with a model, of what was mounted on it since.
         seed: Seed of the bootstrap.
         progress: Called with the name of each step.
 
     Raises:
-        IdentificationError: There is no recording.
+        IdentificationError: There is no recording, or none shows a known mass.
+        RobotError: A known mass is at no joint of the arm, or not above 0.
         RecordingError: A recording does not fit the arm.
     """
     rng = np.random.default_rng(seed)
@@ -96,6 +100,7 @@ def diagnose(
         recordings,
         cutoff=cutoff,
         without=without,
+        known_mass=known_mass,
         seed=seed,
         progress=progress,
     )
@@ -110,16 +115,22 @@ def examine(
     *,
     cutoff: float | None = None,
     without: Sequence[str] = (),
+    known_mass: Mapping[str, float] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Result:
     """:func:`diagnose` without replay and advice, with all intermediate results."""
     tell, rng = progress or silent, np.random.default_rng(seed)
+    known = known_mass or {}
+    robot, notes = weighed(robot, known)
     tell("measuring the gap", 0.0)
     case = _Case.of(robot, recordings, cutoff, without)
     result = _examined(case, tell, rng)
-    found = result.diagnosis
-    return replace(result, diagnosis=replace(found, sentence=headline(found)))
+    found, payloads = result.diagnosis, known if case.healthy else {}
+    found = settled(found, result.effects, payloads) if payloads else in_doubt(found)
+    warnings = (*found.warnings, *notes)
+    found = replace(found, sentence=headline(found), warnings=warnings)
+    return replace(result, diagnosis=found)
 
 
 def _examined(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
@@ -235,7 +246,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         causes, effects = apart.merged(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
     doubtful = bool(far or case.unlike.short) or (not causes and error > typical)
-    verdict = _verdict(gap, found, causes, left, doubtful=doubtful)
+    verdict = verdict_of(gap, found, causes, left, doubtful=doubtful)
     diagnosis = replace(
         _diagnosis(case.as_logged, search, found, causes, *verdict),
         unseen=shown,
@@ -288,37 +299,6 @@ def _drop_improbable(
 
 def _is_untested(finding: Finding, scored: Explanation) -> bool:
     return scored.where_seen(scored.members(finding.effect)) is not scored
-
-
-def _verdict(
-    gap: Gap,
-    found: Account,
-    causes: Sequence[Finding],
-    left: float,
-    *,
-    doubtful: bool,
-) -> tuple[Verdict, float]:
-    """The verdict, and the unexplained share of the explainable gap.
-
-    Args:
-        gap: The gap.
-        found: The explained part of it on the training samples.
-        causes: The named causes.
-        left: Share of it that is left on the test samples.
-        doubtful: Whether the file's numbers have larger errors than usual, which no
-            cause explains, or are of another arm.
-    """
-    if too_little_motion(gap):
-        return "not_excited", 1.0
-    if not causes:
-        missed = doubtful or found.missed.any()
-        return ("unexplained", 1.0) if missed else ("no_gap", 0.0)
-    share = max(found.unknown, left)
-    # The causes of other joints do not explain the gap of a joint without a cause.
-    alone = (found.missed > found.explained) & (found.missed > _MISSED * found.before)
-    if 1.0 - share >= _EXPLAINED and not alone.any() and not doubtful:
-        return "explained", share
-    return "partly_explained", share
 
 
 def _diagnosis(

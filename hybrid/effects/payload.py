@@ -28,6 +28,7 @@ class Payload(Effect):
     told_apart = {"link_inertia": "take off what the arm carries and repeat a motion"}
     scope: ClassVar[Scope] = "arm"
     differentiates = True
+    weighed: ClassVar[tuple[str, str] | None] = ("mass", "torque_gain")
     gains = (
         Quantity("mass", "kg", 2.0, 0.0, 50.0),
         Quantity("mx", "kg·m", 0.0, -20.0, 20.0),
@@ -92,6 +93,7 @@ class LinkInertia(Payload):
     id = "link_inertia"
     inborn = True
     told_apart = {}
+    weighed = None  # the other links of the file set its scale
     scope = "coupling"
     equation = "τ = Y_k(q, v, a) · Δπ_k"
     sentence = "Mass or inertia of the link at {joints} is not the simulator's."

@@ -11,16 +11,20 @@ from hybrid.report.servo import findings_table, gap_table, servos_table
 from hybrid.robot import Robot
 from hybrid.servo import ServoFit, fit_servo, without_torque
 
+_KNOWN_MASS = (
+    "mass of the link that a joint moves, which sets the scale of torques in logs that "
+    "have none (default: the file's masses)"
+)
 
-def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments that only logs without torque take."""
+
+def add_arguments(parser: ArgumentParser, *, known_mass: str = _KNOWN_MASS) -> None:
+    """Add the arguments of logs without torque, with words on the known masses."""
     parser.add_argument(
         "--known-mass",
         type=options.positions,
         default={},
         metavar="JOINT=KG",
-        help="mass of the link that a joint moves, which sets the scale of torques in "
-        "logs that have none (default: the file's masses)",
+        help=known_mass,
     )
     parser.add_argument(
         "--gpu",
@@ -29,8 +33,12 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
 
 
-def check_arguments(args: Namespace, recordings: Sequence[Recording]) -> bool:
+def check_arguments(
+    args: Namespace, recordings: Sequence[Recording], *, weighed: bool = False
+) -> bool:
     """Say whether the logs have no torque.
+
+    ``weighed``: whether the verb takes a known mass in logs with torque.
 
     Raises:
         HybridError: They have, and an argument needs logs that have not; or there is no
@@ -44,7 +52,11 @@ def check_arguments(args: Namespace, recordings: Sequence[Recording]) -> bool:
         return True
     for name, value, why in (
         ("--gpu", args.gpu, "and nothing is replayed"),
-        ("--known-mass", args.known_mass, "which sets the scale"),
+        (
+            "--known-mass",
+            {} if weighed else args.known_mass,
+            "which sets the scale, and hybrid diagnose settles that",
+        ),
     ):
         if value:
             raise HybridError(

@@ -105,6 +105,7 @@ class Finding:
             none was computed, as for the command.
         probability: Probability that one of them is there, at the joint where it is
             least. The rest is that of other effects, of an unknown law, and of none.
+        note: What the values rest on, in words; empty if on the logs alone.
     """
 
     effect: str
@@ -117,6 +118,7 @@ class Finding:
     remedy: str
     chances: tuple[float, ...] = ()
     probability: float = np.nan
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,7 @@ class Diagnosis(Shown):
         unlike: What of the file is not as in the logs, and so of another arm; empty if
             nothing is.
         sentence: The effects, their joints and what is left, in a few words.
+        torque_scale: Logged torque over true torque, by a known mass; None without.
     """
 
     robot: str
@@ -210,6 +213,7 @@ class Diagnosis(Shown):
     doubts: tuple[str, ...] = ()
     unlike: str = ""
     sentence: str = ""
+    torque_scale: Value | None = None
 
     def save(self, path: str | Path) -> None:
         """Write the diagnosis to a JSON file."""

@@ -209,6 +209,8 @@ def _entry(number: int, f: Finding) -> Iterator[str]:
     parts = [shrink_sentence(kind, s) for kind, s in f.shrink.items()]
     if parts:
         yield f"   {'; '.join(parts)}"
+    if f.note:
+        yield f"   {f.note}"
 
 
 def pushes(diagnosis: Diagnosis) -> Iterator[str]:
@@ -223,7 +225,15 @@ def pushes(diagnosis: Diagnosis) -> Iterator[str]:
         )
 
 
+def scale_sentence(scale: Value) -> str:
+    """How logged torque and true torque compare, by a known mass."""
+    value, interval, _ = value_cells(scale)
+    return f"Logged torque is {value} of the true torque (95% interval {interval})."
+
+
 def _endings(diagnosis: Diagnosis) -> Iterator[str]:
+    if diagnosis.torque_scale:
+        yield scale_sentence(diagnosis.torque_scale)
     if diagnosis.events:
         yield f"Touched or pushed: {_few(list(pushes(diagnosis)))}"
     if diagnosis.not_excited:
