@@ -126,8 +126,9 @@ def examine(
     tell("measuring the gap", 0.0)
     case = _Case.of(robot, recordings, cutoff, without)
     result = _examined(case, tell, rng)
-    found, payloads = result.diagnosis, known if case.healthy else {}
-    found = settled(found, result.effects, payloads) if payloads else in_doubt(found)
+    found = result.diagnosis
+    if case.healthy:  # a file's masses set the scale, those of a model are on the log's
+        found = settled(found, result.effects, known) if known else in_doubt(found)
     warnings = (*found.warnings, *notes)
     found = replace(found, sentence=headline(found), warnings=warnings)
     return replace(result, diagnosis=found)
