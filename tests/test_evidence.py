@@ -360,12 +360,12 @@ def test_orders_of_a_ripple_are_the_strongest_waves_over_position():
 
 @pytest.mark.parametrize(
     ("of", "first", "meets"),
-    [(0, 12, True), (0, 20, False), (1, 12, False), (_OF_ALL, 12, True)],
+    [(0, 12, True), (0, 20, True), (0, 21, False), (1, 12, False), (_OF_ALL, 12, True)],
 )
 def test_contacts_meet_in_the_same_recording_at_the_same_time(of, first, meets):
     """From the tenth chunk to the twentieth of one, and ten of the same or another."""
     own, other = _Stretch(9.0, 10, 10, 0), _Stretch(5.0, first, 10, of)
-    assert own.overlaps(other) == other.overlaps(own) == meets
+    assert own.meets(other) == other.meets(own) == meets
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.noise import relative_noise_power
 from hybrid.diagnosis.gap.gap import Gap
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects import Effect
 from hybrid.statistics import robust_std
 
@@ -68,12 +69,12 @@ class _Stretch:
     length: int
     recording: int
 
-    def overlaps(self, other: _Stretch) -> bool:
-        """Whether two stretches share some time of a recording."""
+    def meets(self, other: _Stretch) -> bool:
+        """Whether two stretches of a recording overlap or touch."""
         if len({self.recording, other.recording} - {_OF_ALL}) > 1:
             return False
-        before = self.first < other.first + other.length
-        return before and other.first < self.first + self.length
+        before = self.first <= other.first + other.length
+        return before and other.first <= self.first + self.length
 
 
 class Contacts:
@@ -112,10 +113,10 @@ class Contacts:
         noise: Array,
         count: int,
     ) -> list[Effect]:
-        """Contacts that explain most of a residual, without overlap.
+        """Contacts that explain most of a residual, which do not meet.
 
-        Their evidence refers to the noise power around each sample: where positions or
-        times are quantised, noise comes in bursts.
+        A contact is all that happens while it lasts, and does not happen often: bursts
+        of noise, vibrations and errors of other laws are none.
 
         Args:
             left: Residual of each joint, shape (R_i,), [N·m].
@@ -124,27 +125,29 @@ class Contacts:
             count: Largest number of contacts.
         """
         p = len(self._std)
-        gram = [np.zeros((len(c.number), p, p)) for c in self._clocks]
-        moment = [np.zeros((len(c.number), p)) for c in self._clocks]
+        shapes = (p, p), (p,), (), ()
+        sums = [[np.zeros((len(c.number), *x)) for x in shapes] for c in self._clocks]
         for i, (whole, among) in enumerate(zip(left, rows, strict=True)):
             fast = self._fast[among, i]
             x, r = whole[fast], among[fast]
             # The estimate of the noise may contain the contact.
-            weight = 1.0 / (min(noise[i], robust_std(x) ** 2) or noise[i])
-            weight = weight / relative_noise_power(x, r, self._rate, self._cutoff)
-            columns = self._columns[i][r]
-            weighted = columns * weight[:, None]
-            for clock, G, m in zip(self._clocks, gram, moment, strict=True):
-                G += clock.sums(r, weighted[:, :, None] * columns[:, None])
-                m += clock.sums(r, columns * (x * weight)[:, None])
-        sums = zip(self._clocks, gram, moment, strict=True)
-        every = (s for each in sums for s in _stretches(*each, self._std))
+            std = np.sqrt(min(noise[i], robust_std(x) ** 2) or noise[i])
+            x, columns = x / std, self._columns[i][r] * self._std / std
+            pairs = columns[:, :, None] * columns[:, None]
+            parts = pairs, columns * x[:, None], x**2, np.ones(len(x))
+            for clock, own in zip(self._clocks, sums, strict=True):
+                for total, part in zip(own, parts, strict=True):
+                    total += clock.sums(r, part)
+        each = zip(self._clocks, sums, strict=True)
+        every = (s for clock, own in each for s in _stretches(clock, *own))
         stretches = [s for s in every if s.gain > _WORTH]
         found: list[_Stretch] = []
         for stretch in sorted(stretches, reverse=True):
-            if not any(stretch.overlaps(x) for x in found):
+            if not any(stretch.meets(x) for x in found):
                 found.append(stretch)
-        return [self._contact(s) for s in found[:count]]
+        times = Counter(s.recording for s in found)
+        events = [s for s in found if times[s.recording] <= Prior.most_repeated]
+        return [self._contact(s) for s in events[:count]]
 
     def _contact(self, stretch: _Stretch) -> Effect:
         times = {
@@ -155,22 +158,34 @@ class Contacts:
         return self._law(self._joints, times)
 
 
-def _stretches(clock: _Clock, gram: Array, moment: Array, std: Array) -> list[_Stretch]:
+def _stretches(
+    clock: _Clock, gram: Array, moment: Array, power: Array, count: Array
+) -> list[_Stretch]:
     """The best stretches of each length, with the evidence for a contact.
 
-    ``std`` are prior standard deviations of the gains, shape (p,).
+    Args:
+        clock: The chunks.
+        gram: Products of the columns over each chunk, in units of the prior and of the
+            noise, shape (C, p, p).
+        moment: Their products with the residual, shape (C, p).
+        power: Squares of the residual, shape (C,).
+        count: Number of samples, shape (C,).
     """
-    none = np.zeros_like(gram[:1]), np.zeros_like(moment[:1])
-    gram = np.concatenate([none[0], gram * std[:, None] * std]).cumsum(0)
-    moment = np.concatenate([none[1], moment * std]).cumsum(0)
+    sums = [
+        np.concatenate([np.zeros_like(x[:1]), x]).cumsum(0)
+        for x in (gram, moment, power, count)
+    ]
     longest = _LONGEST * np.unique(clock.recording, return_counts=True)[1].max()
     found = []
     for length in (x for x in _LENGTHS if x <= longest):
-        A = np.eye(len(std)) + gram[length:] - gram[:-length]
-        b = moment[length:] - moment[:-length]
-        solved = np.linalg.solve(A, b[:, :, None])[:, :, 0]
-        gain = 0.5 * np.einsum("ck,ck->c", b, solved) - 0.5 * np.linalg.slogdet(A)[1]
-        gain = np.where(clock.unbroken(length), gain, 0.0)
+        G, b, before, size = (x[length:] - x[:-length] for x in sums)
+        A = np.eye(G.shape[-1]) + G
+        gains = np.linalg.solve(A, b[:, :, None])[:, :, 0]
+        explained = np.einsum("ck,ck->c", b, gains)
+        gain = 0.5 * explained - 0.5 * np.linalg.slogdet(A)[1]
+        rest = before - explained - np.sum(gains**2, axis=1) - size
+        all_of_it = rest < Prior.event_error**2 * before
+        gain = np.where(clock.unbroken(length) & all_of_it, gain, 0.0)
         for k in np.argsort(-gain)[:8]:
             own = int(clock.number[k]), length, int(clock.recording[k])
             found.append(_Stretch(float(gain[k]), *own))

@@ -11,10 +11,8 @@ shape (R,) each, its ``rate``, and the ``cutoff`` of its band, both in [Hz].
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import uniform_filter1d
 
 from hybrid.arrays import Array
-from hybrid.signals import butterworth
 from hybrid.signals.filters import LOWER_BAND
 
 LAGS = 16  # largest lag of a noise covariance
@@ -117,25 +115,6 @@ def without_events(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.b
     mean = np.bincount(stretch, x**2) / np.maximum(count, 1)
     usual = np.median(mean[count > 0]) if len(x) else 0.0
     return np.asarray(mean[stretch] <= _EVENT * usual)
-
-
-def relative_noise_power(
-    x: Array, row: NDArray[np.intp], rate: float, cutoff: float
-) -> Array:
-    """Noise power around each sample over the median one, at least 1, shape (R,)."""
-    if not len(row):
-        return np.ones(0)
-    first = row.min()
-    full, known = np.zeros((2, row.max() - first + 1))
-    full[row - first], known[row - first] = x, 1.0
-    upper = known * (full - butterworth(full, rate=rate, cutoff=LOWER_BAND * cutoff))
-    length = max(1, round(_STRETCH * rate))
-    around, count = (
-        uniform_filter1d(y, length, mode="constant")[row - first]
-        for y in (upper**2, known)
-    )
-    mean = around / count
-    return np.asarray(np.maximum(mean / max(np.median(mean), 1e-300), 1.0))
 
 
 def low_frequency_excess(

@@ -221,7 +221,7 @@ class Posterior:
     def explains(
         self, evidence: Evidence, columns: Columns, gains: Array, lefts: Sequence[Array]
     ) -> bool:
-        """Whether a torque leaves no more, while it lasts, than a real law's error.
+        """Whether a torque leaves no more, while it lasts, than the error of an event.
 
         The estimate of the noise may hold other events: that of most samples counts.
 
@@ -238,7 +238,7 @@ class Posterior:
             noise = min(evidence.noise[i], robust_std(left) ** 2) or evidence.noise[i]
             before += ((left + torque)[lasts] ** 2).sum() / noise
             after += (left[lasts] ** 2 / noise - 1.0).sum()
-        return bool(after < self.prior.real_law_error**2 * before)
+        return bool(after < self.prior.event_error**2 * before)
 
     def unseen_loss(self, causes: Sequence[Cause]) -> Array:
         """Loss of some causes on the test samples, shape (2,), [nat].

@@ -5,7 +5,6 @@ step must lower the cross-validated loss as well, and each cause of the result t
 on test samples.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -122,11 +121,9 @@ class Search(Moves):
             after = [x - columns[i][rows] @ gains for i, (x, rows) in pairs]
             if self.explains(test.evidence, columns, gains, after):
                 happened.append(better.effect)
-        times = Counter(x.values["recording"] for x in happened)
         found = np.zeros(len(test.use), dtype=bool)
         for x in happened:
-            if times[x.values["recording"]] <= most:  # more of them are no event
-                found |= _around(gap, x)
+            found |= _around(gap, x)
         return found & test.use
 
     def _restart(self) -> None:
