@@ -42,6 +42,11 @@ def background(gap: Gap) -> _Blocks:
     friction and spring that the file declares: its torque, of size one. The relative
     error of a number refers to its size.
     """
+    if gap.joins:
+        each, sizes = zip(*map(background, gap.joins), strict=True)
+        pairs = zip(*each, strict=True)
+        both = [{j: np.concatenate([x[j] for x in b]) for j in b[0]} for b in pairs]
+        return both, sizes[0]
     robot = gap.robot
     n = robot.size
     full: list[Array] = []
