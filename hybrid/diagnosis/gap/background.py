@@ -43,10 +43,12 @@ def background(gap: Gap) -> _Blocks:
     error of a number refers to its size.
     """
     if gap.joins:
-        each, sizes = zip(*map(background, gap.joins), strict=True)
-        pairs = zip(*each, strict=True)
-        both = [{j: np.concatenate([x[j] for x in b]) for j in b[0]} for b in pairs]
-        return both, sizes[0]
+        parts = [background(x) for x in gap.joins]
+        each = zip(*(columns for columns, _ in parts), strict=True)
+        both: list[Columns] = [
+            {j: np.concatenate([x[j] for x in same]) for j in same[0]} for same in each
+        ]
+        return both, parts[0][1]
     robot = gap.robot
     n = robot.size
     full: list[Array] = []

@@ -15,7 +15,7 @@ from hybrid.effects import Effect, Scale
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
-from hybrid.signals.filters import LOWER_BAND, butterworth
+from hybrid.signals.filters import LOWER_BAND, butterworth, sampled
 
 Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 
@@ -166,13 +166,13 @@ class Gap:
         parts = []
         whole = self.reported if effect.reports else self
         lower = self.lower_band_reported if effect.reports else self.lower_band
-        for motion, body, sampler in lower if lower_band else whole:
+        for motion, body, _ in lower if lower_band else whole:
             columns = self._first(effect, motion, body)
             if effect.linearised and gains.any():
                 rest = self._change(effect, motion, body) - columns @ gains
                 columns = columns + rest[:, :, None] * gains / (gains @ gains)
-            parts.append(sampler(columns))
-        stacked = np.concatenate(parts)
+            parts.append(columns)
+        stacked = sampled(self.samplers, parts)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
 
     def is_above_band(self, effect: Effect) -> bool:
