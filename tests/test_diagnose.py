@@ -627,6 +627,19 @@ class TestSilence:
         assert alone.verdict == "not_excited" and alone.findings == ()
 
 
+def test_friction_of_a_drive_with_another_gain_is_that_of_the_joint():
+    """The drive reports 70 % of its torque, and so of its friction."""
+    robot, recordings = logs([Viscous((1,), {"coefficient": 2.0})])
+    part = np.array([1.0, 0.7])
+    told = [replace(x, tau=x.tau * part) for x in recordings]
+    found = examine(robot, told).diagnosis
+    values = {p.name: p for f in found.findings for p in f.parameters}
+    assert {f.effect for f in found.findings} == {"viscous", "torque_gain"}
+    for name, true in (("coefficient", 2.0), ("gain", -0.3)):
+        low, high = values[name].interval
+        assert low < true < high and values[name].value == pytest.approx(true, rel=0.1)
+
+
 class TestEvents:
     def test_contacts_at_times_of_their_own_in_three_of_four_recordings_are_found(self):
         robot, free = logs([])

@@ -254,6 +254,11 @@ class Effect(InPlant, Instant, ABC):
         return False
 
     @property
+    def torque_scale(self) -> float:
+        """Reported torque over delivered torque, of an effect that reports it so."""
+        return 1.0
+
+    @property
     def observes(self) -> bool:
         """Whether :meth:`observe` changes the motion."""
         return type(self).observe is not Effect.observe

@@ -33,6 +33,11 @@ class TorqueGain(Effect):
         return [(1.0 + self.values["gain"]) * torque[0]], ()
 
     @property
+    def torque_scale(self) -> float:
+        """See :attr:`Effect.torque_scale`."""
+        return 1.0 + self.values["gain"]
+
+    @property
     def actuator(self) -> Mapping[str, float]:
         """See :attr:`Instant.actuator`."""
         return {"gain": 1.0 / (1.0 + self.values["gain"])}

@@ -8,7 +8,7 @@ import numpy as np
 
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.simulator import corrected
-from hybrid.diagnosis.evidence.candidates import with_gains
+from hybrid.diagnosis.evidence.candidates import delivered, with_gains
 from hybrid.diagnosis.explanations.physical import solve_physical
 from hybrid.diagnosis.explanations.refit import solve_all
 from hybrid.diagnosis.gap.gap import Gap
@@ -97,9 +97,10 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
     laws = [t.candidate.effect for t in search.terms]
     pairs = list(zip(laws, own, strict=True))
     physical = solve_physical(evidence, search.gap.robot.chain, free.index, pairs)
-    for k, (law, i) in enumerate(pairs):
+    others = [with_gains(law, physical.of(i)).as_reported() for law, i in pairs]
+    for k, (other, i) in enumerate(zip(delivered(others), own, strict=True)):
         if not np.array_equal(physical.of(i), free.of(i)):
-            effects[k] = with_gains(law, physical.of(i)).as_reported()
+            effects[k] = other
     return corrected(result.scored, effects, physical.gains[: len(search.rigid)])
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.evidence.candidates import with_gains
+from hybrid.diagnosis.evidence.candidates import delivered, with_gains
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.explanations.physical import is_physical, nearest_physical
 from hybrid.dynamics import inverse_dynamics
@@ -26,7 +26,9 @@ def scored_effects(scored: Explanation) -> tuple[Effect, ...]:
     edges = np.cumsum([len(own) for own in scored.own])[:-1]
     parts = np.split(gains, edges) if scored.own else []
     pairs = zip(scored.terms, parts, strict=True)
-    return tuple(with_gains(t.candidate.effect, x).as_reported() for t, x in pairs)
+    return delivered(
+        [with_gains(t.candidate.effect, x).as_reported() for t, x in pairs]
+    )
 
 
 def corrected(

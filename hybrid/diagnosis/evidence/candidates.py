@@ -149,6 +149,30 @@ def with_gains(effect: Effect, gains: Sequence[float] | Array) -> Effect:
     return effect.at(dict(zip(names, map(float, gains), strict=True)))
 
 
+def delivered(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Effects fitted to reported torque, with the gains of the delivered torque.
+
+    A drive that reports a part of its torque reports that part of its friction. What
+    acts at several joints is left as it is.
+    """
+    scale = dict[int, float]()
+    for e in effects:
+        for j in e.joints if e.reports else ():
+            scale[j] = scale.get(j, 1.0) * e.torque_scale
+    found = []
+    for e in effects:
+        own = scale.get(e.joints[0], 1.0)
+        if own != 1.0 and len(e.joints) == 1 and not (e.reports or e.observes):
+            names = {g.name for g in e.gains}
+            values, std = (
+                {x: y / own if x in names else y for x, y in known.items()}
+                for known in (e.values, e.std)
+            )
+            e = e.at(values, std)
+        found.append(e)
+    return tuple(found)
+
+
 def same_columns(a: Columns, b: Columns) -> bool:
     """Whether columns are equal, at the same joints."""
     return a.keys() == b.keys() and all(np.array_equal(a[j], b[j]) for j in a)

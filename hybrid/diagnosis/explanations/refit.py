@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from hybrid.arrays import Array, Index
-from hybrid.diagnosis.evidence.candidates import Candidate, with_gains
+from hybrid.diagnosis.evidence.candidates import Candidate, delivered, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
 from hybrid.diagnosis.evidence.noise import LAGS, autocovariance, floored
 from hybrid.diagnosis.evidence.refine import add_shape_derivatives, fit_shift
@@ -38,7 +38,7 @@ def solve_all(search: Search) -> tuple[Evidence, Solution, tuple[Index, ...]]:
 
 
 def refit(search: Search) -> tuple[Effect, ...]:
-    """Effects of a search's terms, fitted to all samples.
+    """Effects of a search's terms, fitted to all samples, on the delivered torque.
 
     Their standard deviations include the uncertainty of all other terms, and of the
     file's numbers.
@@ -79,7 +79,7 @@ def refit(search: Search) -> tuple[Effect, ...]:
             covariance *= np.outer(more, more)
         covariance[np.diag_indices(len(here))] += _model_variance(gap, effect)
         certain.append(_reported(effect, covariance))
-    return tuple(certain)
+    return delivered(certain)
 
 
 def _set_noise_of_residual(evidence: Evidence, solution: Solution) -> None:
