@@ -105,10 +105,19 @@ def test_the_best_stretch_is_the_one_that_is_pushed_with_its_evidence():
     best = max(found)
     assert (best.first, best.length, best.recording) == (5 + 10, 6, 0)
     A, b = 1.0 + 400.0 * 0.06, 20.0 * 0.06 * 50.0
-    assert best.gain == pytest.approx(0.5 * b**2 / A - 0.5 * np.log(A))
+    assert best.gain == pytest.approx(0.5 * b**2 / A - 0.5 * np.log(A) - np.log(6))
     # A third of all at most, and eight of each length.
     assert {s.length for s in found} == {2, 3, 4, 6, 8}
     assert all(sum(s.length == k for s in found) == 8 for k in (2, 3, 4, 6, 8))
+
+
+def test_a_contact_does_not_go_on_where_no_sample_is_used():
+    """The last six pushed chunks are followed by a hole of the samples."""
+    clock, *sums = one_push(range(10, 16), strength=50.0)
+    for x in sums:
+        x[16:] = 0.0
+    best = max(_stretches(clock, *sums))
+    assert (best.first, best.length) == (5 + 10, 6)
 
 
 @pytest.mark.parametrize(("rest", "is_one"), [(0.0, True), (0.04, True), (0.2, False)])
@@ -126,7 +135,7 @@ def test_a_moment_has_a_prior_of_a_tenth():
     assert (best.first, best.length) == (5 + 3, 2)
     A, b = 1.0 + 4.0 * 4.0, 2.0 * 6.0
     force = 1.0 + 400.0 * 0.02
-    expected = 0.5 * b**2 / A - 0.5 * np.log(A) - 0.5 * np.log(force)
+    expected = 0.5 * b**2 / A - 0.5 * np.log(A) - 0.5 * np.log(force) - np.log(2)
     assert best.gain == pytest.approx(expected)
 
 
