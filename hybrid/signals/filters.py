@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
@@ -79,22 +78,6 @@ class Sampler:
     def keep(self, x: NDArray[Label]) -> NDArray[Label]:
         """Select the rows of masks or labels, shape (N, ...), that decimation keeps."""
         return x[:: self.factor]
-
-
-def sampled(samplers: Sequence[Sampler], parts: Sequence[Array]) -> Array:
-    """Filter several recordings, each alone, and join what is kept.
-
-    Those of one rate and length are filtered at once, in half the time.
-
-    Args:
-        samplers: One for each recording.
-        parts: Signals of each recording, samples along the first axis.
-    """
-    if len({*samplers}) > 1 or len({x.shape for x in parts}) > 1:
-        pairs = zip(samplers, parts, strict=True)
-        return np.concatenate([sampler(x) for sampler, x in pairs])
-    each = samplers[0](np.stack(parts), axis=1)
-    return each.reshape(-1, *each.shape[2:])
 
 
 def butterworth(x: Array, *, rate: float, cutoff: float) -> Array:

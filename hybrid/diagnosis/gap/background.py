@@ -42,13 +42,6 @@ def background(gap: Gap) -> _Blocks:
     friction and spring that the file declares: its torque, of size one. The relative
     error of a number refers to its size.
     """
-    if gap.joins:
-        parts = [background(x) for x in gap.joins]
-        each = zip(*(columns for columns, _ in parts), strict=True)
-        both: list[Columns] = [
-            {j: np.concatenate([x[j] for x in same]) for j in same[0]} for same in each
-        ]
-        return both, parts[0][1]
     robot = gap.robot
     n = robot.size
     full: list[Array] = []

@@ -15,7 +15,7 @@ from hybrid.effects import Effect, Scale
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler
-from hybrid.signals.filters import LOWER_BAND, butterworth, sampled
+from hybrid.signals.filters import LOWER_BAND, butterworth
 
 Columns = Mapping[int, Array]  # joint -> columns, shape (M, p)
 
@@ -64,9 +64,7 @@ class Gap:
     notes: tuple[str, ...] = ()
     healthy: tuple[Array, ...] = ()
     joins: tuple[Gap, ...] = ()
-    _kept: dict[Hashable, tuple[Columns, bool]] = field(
-        default_factory=dict, init=False
-    )
+    _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 
     @property
     def samplers(self) -> list[Sampler]:
@@ -140,39 +138,33 @@ class Gap:
             scale = self.scales[effect.joints[-1]]
             small = {g.name: _SMALL * g.scaled(scale).typical for g in effect.gains}
             effect = effect.at(small)
-        columns, holds = self._known(effect, lower_band)
-        return columns if holds else {j: np.zeros_like(x) for j, x in columns.items()}
-
-    def _known(self, effect: Effect, lower_band: bool | None) -> tuple[Columns, bool]:
-        """See :meth:`columns`; and whether the recordings allow the law."""
         gains = effect.gains if effect.linearised or effect.steep else ()
         values = tuple(effect.values[x.name] for x in (*gains, *effect.shapes))
         key = type(effect), effect.joints, values, lower_band
         if key not in self._kept:
             if len(self._kept) == _KEPT:
                 self._kept.pop(next(iter(self._kept)))
-            columns = self._columns(effect, lower_band)
-            self._kept[key] = columns, effect.holds(self.motions)
+            self._kept[key] = self._columns(effect, lower_band)
         return self._kept[key]
 
     def _columns(self, effect: Effect, lower_band: bool | None) -> Columns:
-        """See :meth:`columns`; of a law that the recordings may not allow."""
-        gains, reached = effect.gain_values, effect.reaches(self.robot.size)
+        """See :meth:`columns`."""
+        gains = effect.gain_values
         if lower_band is None:
             lower_band = effect.differentiates or self.is_above_band(effect)
-        if self.joins:
-            each = [gap._known(effect, lower_band)[0] for gap in self.joins]
-            return {j: np.concatenate([x[j] for x in each]) for j in reached}
         parts = []
         whole = self.reported if effect.reports else self
         lower = self.lower_band_reported if effect.reports else self.lower_band
-        for motion, body, _ in lower if lower_band else whole:
+        for motion, body, sampler in lower if lower_band else whole:
             columns = self._first(effect, motion, body)
             if effect.linearised and gains.any():
                 rest = self._change(effect, motion, body) - columns @ gains
                 columns = columns + rest[:, :, None] * gains / (gains @ gains)
-            parts.append(columns)
-        stacked = sampled(self.samplers, parts)
+            parts.append(sampler(columns))
+        stacked = np.concatenate(parts)
+        if not effect.holds(self.motions):
+            stacked = np.zeros_like(stacked)
+        reached = effect.reaches(self.robot.size)
         return {j: stacked[:, k] for k, j in enumerate(reached)}
 
     def is_above_band(self, effect: Effect) -> bool:
@@ -224,7 +216,9 @@ class Gap:
         A further derivative of a noisy position is mostly noise. The gain of a noisy
         column would come out too small.
         """
-        parts = []
+        parts = [part for gap in self.joins for part in gap.lower_band]
+        if parts:
+            return parts
         for m, body, sampler in self:
             low = partial(butterworth, rate=m.rate, cutoff=LOWER_BAND * self.cutoff)
             # The torque is filtered: simulated again, its dry friction would reverse
