@@ -64,7 +64,7 @@ class Products:
         for columns, count in zip(blocks, sizes, strict=True):
             own = np.arange(self.size, self.size + count)
             for i, x in columns.items():
-                fresh[i].append((x[self.rows[i]].T, own))
+                fresh[i].append((x.T[:, self.rows[i]], own))
             index.append(own)
             self.size += count
         for joint, parts in zip(self._joints, fresh, strict=True):
