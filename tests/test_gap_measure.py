@@ -511,7 +511,8 @@ def test_soft_friction_reverses_early_by_its_lead():
     """At a steady acceleration the speed is ahead by as much."""
     t = np.arange(-200, 201) / 100.0
     v, a = t[:, None], np.ones((401, 1))
-    gap = [(SimpleNamespace(v=v, a=a), None, lambda x: x)]
+    motion = SimpleNamespace(v=v, a=a)
+    gap = SimpleNamespace(motions=[motion], filtered=np.concatenate)
     found = soft_friction(gap, 0, (0.1, 0.5), (0.0, 0.25))
     assert found.shape == (401, 4)
     for k, (lead, knee) in enumerate([(0, 0.1), (0, 0.5), (0.25, 0.1), (0.25, 0.5)]):

@@ -135,6 +135,9 @@ class Told:
         self.chain = SimpleNamespace(size=2)
         self.state = SimpleNamespace(q=np.array([[0.0, 0.0], [1.0, 1.0]]))
 
+    def _move(self, others):
+        """Its readings have no motion."""
+
     def columns(self, *_):
         return SimpleNamespace(residual_of_pairs=lambda: np.ones((2, 2)))
 

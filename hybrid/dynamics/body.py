@@ -41,6 +41,7 @@ class RigidBody:
         self._slopes_of = slopes_of
         self._known_slopes: dict[int, tuple[Array, Array, Array]] = {}
         self._known_wrenches: dict[int, Array] = {}
+        self._cubics: tuple[int, Array] = -1, np.zeros(0)
 
     @cached_property
     def load(self) -> Array:
@@ -61,13 +62,12 @@ class RigidBody:
 
         It is linear in the changes of position, speed and acceleration, (N, n) each.
         """
-        total = np.zeros_like(self.motion.q)
-        for j in range(self.chain.size):
-            changes = dq[:, j], dv[:, j], da[:, j]
-            if any(x.any() for x in changes):
-                for slope, x in zip(self.slopes(j), changes, strict=True):
-                    total += slope * x[:, None]
-        return total
+        changes = np.array([dq.T, dv.T, da.T])
+        total = np.zeros(changes.shape[1:])  # (n, N): time is contiguous
+        for j in np.flatnonzero(changes.any(axis=(0, 2))).tolist():
+            for slope, x in zip(self.slopes(j), changes[:, j], strict=True):
+                total += slope.T * x
+        return total.T
 
     def slopes(self, j: int) -> tuple[Array, Array, Array]:
         """Partial derivatives of all torques by q, v and a of a joint, (N, n) each.
@@ -87,8 +87,30 @@ class RigidBody:
 
             by_q = (torque(0, _STEP) - torque(0, -_STEP)) / (2 * _STEP)
             by_v = (torque(1, 1.0) - torque(1, -1.0)) / 2
-            self._known_slopes[j] = by_q, by_v, torque(2, 1.0) - self.load
+            by_q, by_v, by_a = map(
+                np.asfortranarray, (by_q, by_v, torque(2, 1.0) - self.load)
+            )
+            self._known_slopes[j] = by_q, by_v, by_a
         return self._known_slopes[j]
+
+    def between(self, j: int, count: int) -> Array:
+        """A joint's load and its slopes by its own q, v and a at more instants.
+
+        Cubics go through the samples, those of the last joint are kept.
+
+        Returns:
+            Values at the parts of each sample, shape (4, count · (N − 1) + 1).
+        """
+        if self._cubics[0] != j:
+            from scipy.interpolate import CubicSpline
+
+            known = self.load, *self.slopes(j)
+            signals = np.stack([x[:, j] for x in known], axis=1)
+            self._cubics = j, CubicSpline(np.arange(len(signals)), signals).c
+        # All instants are at the same parts of a sample: no search is needed.
+        powers, cubics = np.vander(np.arange(count) / count, 4), self._cubics[1]
+        inner = np.einsum("pNs,kp->sNk", cubics, powers).reshape(4, -1)
+        return np.column_stack([inner, cubics[:, -1].sum(axis=0)])
 
     @property
     def gravity(self) -> Array:

@@ -81,22 +81,17 @@ class Elasticity(Effect):
             place[:, j] = -load
             speed = np.gradient(place, motion.t, axis=0)
             return place, speed, np.gradient(speed, motion.t, axis=0)
-        G, C, M = self._slopes(body)
         h = float(np.median(np.diff(motion.t)))
         # A link without inertia, as some files have it, follows within a sample.
-        inertia = max(float(np.mean(M)), h**2 / compliance)
-        start_damping = _START_DAMPING * np.exp(-(motion.t - motion.t[0]) / _START_TIME)
-        ratio = start_damping + _LEAST_DAMPING
-        drag = damping + 2 * ratio * np.sqrt(inertia / compliance) + C
-        stiff = np.maximum(1.0 / compliance + G, _LEAST_STIFFNESS / compliance)
+        inertia = max(float(np.mean(self._slopes(body)[2])), h**2 / compliance)
         substeps = np.ceil(h / np.sqrt(inertia * compliance) / _PHASE_STEP)
         count = int(np.clip(substeps, 1, _MOST_SUBSTEPS))
+        load, G, C, M = body.between(j, count)
+        since = np.arange(len(load)) * (h / count)
+        ratio = _START_DAMPING * np.exp(-since / _START_TIME) + _LEAST_DAMPING
+        drag = damping + 2 * ratio * np.sqrt(inertia / compliance) + C
+        stiff = np.maximum(1.0 / compliance + G, _LEAST_STIFFNESS / compliance)
         signals = np.stack([np.maximum(M, 0.1 * inertia), drag, stiff, load])
-        if count > 1:
-            from scipy.interpolate import CubicSpline
-
-            at = np.arange(count * (len(load) - 1) + 1) / count
-            signals = CubicSpline(np.arange(len(load)), signals, axis=1)(at)
         d = _swing(signals, h / count)
         speed = np.gradient(d, h / count)
         mass, drag, stiff, load = signals

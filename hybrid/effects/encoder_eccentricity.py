@@ -62,5 +62,6 @@ class EncoderEccentricity(Effect):
     def _error(self, q: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         """Error at a true position, and its first two derivatives."""
         s, c = self.values["sine"], self.values["cosine"]
-        error = s * np.sin(q) + c * np.cos(q)
-        return error, s * np.cos(q) - c * np.sin(q), -error
+        sine, cosine = np.sin(q), np.cos(q)
+        error = s * sine + c * cosine
+        return error, s * cosine - c * sine, -error

@@ -33,9 +33,10 @@ class JointEffect(Effect):
         q, v, a = motion.q[:, j], motion.v[:, j], motion.a[:, j]
         warm = None if motion.temperature is None else motion.temperature[:, j]
         state = JointState(motion.t, q, v, a, np.sign(v), body.load[:, j], warm)
-        unit = np.ones_like(v)
-        laws = [unit * x for x in self.law(state, **self.shape_values)]
-        return np.stack(laws, axis=-1)[:, None, :]
+        laws = np.empty((len(self.gains), 1, len(v)))
+        for k, x in enumerate(self.law(state, **self.shape_values)):
+            laws[k] = x
+        return laws.T
 
     def at_instant(
         self, joints: Sequence[JointState], memory: Memory, step: Scalar

@@ -61,6 +61,9 @@ class Body(Protocol):
     def slopes(self, j: int) -> tuple[Array, Array, Array]:
         """Derivatives of all torques by q, v and a of a joint, shape (N, n) each."""
 
+    def between(self, j: int, count: int) -> Array:
+        """A joint's load and slopes by its own q, v, a, (4, count · (N − 1) + 1)."""
+
     def response(self, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of motion, shape (N, n), [N·m]."""
 

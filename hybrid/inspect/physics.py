@@ -12,7 +12,7 @@ robot file reveal, each times a scale, is a warning, as the file may be wrong; s
 that samples which a fit does not see tell less clearly.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -60,13 +60,19 @@ class _Readings:
         """Columns along the motion of a reading."""
         key = masses, reading.motion
         if key not in self._columns:
-            if reading.motion not in self._moved:
-                moved = reading.moved(self.state)
-                Y = regressor(self.chain, moved.q, moved.v, moved.a)
-                self._moved[reading.motion] = moved, Y
+            self._move([reading])
             moved, Y = self._moved[reading.motion]
             self._columns[key] = MassColumns(moved, self.masses[masses], Y)
         return self._columns[key]
+
+    def _move(self, others: Sequence[OtherReading]) -> None:
+        """Make the regressors along the motions of some readings, all at once."""
+        new = {x.motion: x for x in others if x.motion not in self._moved}
+        moved = [x.moved(self.state) for x in new.values()]
+        if moved:
+            motion = (np.concatenate([getattr(x, k) for x in moved]) for k in "qva")
+            Y = np.split(regressor(self.chain, *motion), len(moved))
+            self._moved |= zip(new, zip(moved, Y, strict=True), strict=True)
 
     def residual(
         self, reading: OtherReading, masses: str, *, rounds: int = 2, blocks: int = 1
@@ -85,6 +91,7 @@ class _Readings:
         blocks: int = 1,
     ) -> list[float]:
         """Gain of other readings over the log as written."""
+        self._move(others)
         left = partial(self.residual, masses=masses, rounds=rounds, blocks=blocks)
         before = left(self.written)
         return [_gain(before, left(x), x) for x in others]

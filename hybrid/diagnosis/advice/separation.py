@@ -213,6 +213,7 @@ def decimated(gap: Gap) -> Gap:
         gap,
         motions=tuple(m for m, _ in pairs),
         bodies=tuple(RigidBody(b.chain, m, b.inertial) for m, b in pairs),
+        healthy=(),
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.noise import Noise
 
-_ROOM = 1.5  # allocated over needed memory, so that little is copied
+_ROOM = 2.5  # allocated over needed memory, so that little is copied
 _CHUNK = 64  # columns that are whitened at a time
 
 
@@ -53,15 +53,15 @@ class JointProducts:
         """Samples times the precision of the noise, shape (R, ...)."""
         return x if self._noise is None else self._noise.weight(x)
 
-    def add(self, blocks: Sequence[tuple[Array, Index]]) -> None:
-        """Add blocks of columns, one a row, shape (p, R), with their numbers."""
+    def add(self, blocks: Sequence[tuple[Array, Index]], rows: Index) -> None:
+        """Add some rows (R,) of blocks of columns, (p, M), with their numbers."""
         at = len(self.owner)
         size = at + sum(len(x) for x, _ in blocks)
         if size > len(self._memory):
             self._memory = _enlarged(self._memory, at, size)
         owner, first = [self.owner], [self._first]
         for x, numbers in blocks:
-            self._memory[at : at + len(x)] = x
+            x.take(rows, axis=1, out=self._memory[at : at + len(x)], mode="clip")
             owner.append(numbers)
             first.append(np.full(len(x), at))
             at += len(x)

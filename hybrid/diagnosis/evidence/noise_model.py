@@ -165,14 +165,16 @@ def _flexible(evidence: Evidence, i: int, index: Index) -> tuple[Array, float, f
     G = np.array([x @ x.T for x, _ in parts])
     c = np.array([x @ y for x, y in parts])
     size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
-    G, c = G / size / size[:, None], c / size
+    G /= np.outer(size, size)
+    c /= size
     A, b, folds = G.sum(axis=0), c.sum(axis=0), list(zip(G, c, strict=True))
     back, found = np.argsort(evidence.rows[i]), []
     row = evidence.rows[i][back]
-    for ridge in _RIDGES:
+    every = np.array([_ridge(A.copy(), b, ridge) for ridge in _RIDGES]) / size
+    lefts = (gap - every @ columns)[:, back]
+    for ridge, left in zip(_RIDGES, lefts, strict=True):
         w = np.array([_ridge(A - g, b - x, ridge) for g, x in folds])
         power = np.einsum("fk,fk->", w, (G @ w[..., None])[..., 0] - 2 * c)
-        left = (gap - (_ridge(A.copy(), b, ridge) / size) @ columns)[back]
         lasts = autocorrelation_time(left, row)
         found.append((left, (gap @ gap + power) / len(row) * lasts, lasts, ridge))
     left, noise, lasts, ridge = min(found, key=lambda x: x[1])

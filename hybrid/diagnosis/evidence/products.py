@@ -64,11 +64,11 @@ class Products:
         for columns, count in zip(blocks, sizes, strict=True):
             own = np.arange(self.size, self.size + count)
             for i, x in columns.items():
-                fresh[i].append((x[self.rows[i]].T, own))
+                fresh[i].append((x.T, own))
             index.append(own)
             self.size += count
-        for joint, parts in zip(self._joints, fresh, strict=True):
-            joint.add(parts)
+        for joint, rows, parts in zip(self._joints, self.rows, fresh, strict=True):
+            joint.add(parts, rows)
         return index
 
     def set_covariances(self, covariances: Sequence[Array]) -> None:

@@ -82,11 +82,11 @@ def fit(servo: ServoLog, choice: Sequence[Law], *, immediate: bool) -> Fit:
             return None
         # The scan over latencies knows a delay of the torque only to first order.
         few = starts if shifted else [min(starts, key=lambda x: x[0])]
-        fits = [
-            (_refined(servo.thin, law, x, along), along) for _, x, along, law in few
+        tried = [
+            (_stepped(servo.thin, law, x, way), law, way) for _, x, way, law in few
         ]
-        found, along = min(fits, key=lambda x: float(x[0].left @ x[0].left))
-        return _refined(servo, found.law, np.array([found.late, found.shift]), along)
+        (x, *_), law, along = min(tried, key=lambda k: float(k[0][2] @ k[0][2]))
+        return _refined(servo, law, x, along)
 
     at_scale, scaled = best(False, False), best(True, False)
     if at_scale and scaled and abs(scaled.gains[0] - 1.0) > _MOST_SCALE:
@@ -187,6 +187,19 @@ def _solve(G: Array, columns: Array, target: Array) -> tuple[Array, Array]:
 
 def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
     """Refine x = (T, S) along the directions of a basis by Gauss–Newton steps."""
+    x, gains, left, J = _stepped(servo, law, x, basis)
+    d = _inverse(np.linalg.norm(J, axis=0))
+    spread = np.linalg.pinv((J * d).T @ (J * d), rcond=1e-12) * d * d[:, None]
+    spread *= left @ left / len(left) * autocorrelation_time(left, servo.row)
+    wide = np.eye(2 + len(gains))[:, 2:]
+    wide = np.column_stack([np.pad(basis, ((0, len(gains)), (0, 0))), wide])
+    return Fit(law, float(x[0]), float(x[1]), gains, left, wide @ spread @ wide.T)
+
+
+def _stepped(
+    servo: ServoLog, law: Law, x: Array, basis: Array
+) -> tuple[Array, Array, Array, Array]:
+    """(T, S) after the steps of :func:`_refined`; gains, residual and its Jacobian."""
     immediate = basis.shape[1] == 1 and basis[1, 0] != 0
     for _ in range(_ROUNDS):
         A = servo.signals(*x)
@@ -202,12 +215,7 @@ def _refined(servo: ServoLog, law: Law, x: Array, basis: Array) -> Fit:
         x = x + np.clip(step, -_LONGEST, _LONGEST)
         if immediate and (x[0] < 0 or x.sum() < 0):
             x = np.zeros(2)
-    d = _inverse(np.linalg.norm(J, axis=0))
-    spread = np.linalg.pinv((J * d).T @ (J * d), rcond=1e-12) * d * d[:, None]
-    spread *= left @ left / len(left) * autocorrelation_time(left, servo.row)
-    wide = np.eye(2 + len(gains))[:, 2:]
-    wide = np.column_stack([np.pad(basis, ((0, len(gains)), (0, 0))), wide])
-    return Fit(law, float(x[0]), float(x[1]), gains, left, wide @ spread @ wide.T)
+    return x, gains, left, J
 
 
 def _least(X: Array, y: Array) -> Array:

@@ -69,7 +69,8 @@ class UnknownLaws:
         if law.place in self._waves:
             return self._waves[law.place]
         (joint,) = law.place[1]
-        return dict(self._without_waves(joint))[law.place[0]]
+        laws = self._without_waves(joint)
+        return next(columns for name, columns in laws if name == law.place[0])
 
     def widened(self, base: Index, law: Cause) -> Cause:
         """A law with the most probable width of its prior; it is made once."""

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.gap import Columns, Gap
+from hybrid.diagnosis.gap.gap import Columns, Gap, stacked
 from hybrid.effects import Port, effect_at, effect_classes
 from hybrid.model.declared import declared_effects
 from hybrid.robot.spatial import link_spread
@@ -42,17 +42,10 @@ def background(gap: Gap) -> _Blocks:
     friction and spring that the file declares: its torque, of size one. The relative
     error of a number refers to its size.
     """
+    if gap.joins:
+        return _stacked(gap, background)
     robot = gap.robot
-    n = robot.size
-    full: list[Array] = []
-    for _, body, sampler in gap.lower_band:  # as of effects that differentiate
-        columns = body.columns  # (N, n, 10n)
-        rows = [sampler(columns[:, i]) for i in range(n)]
-        full.append(np.stack(rows, axis=1))
-    stacked = np.concatenate(full)
-    blocks: list[Columns] = [
-        {i: stacked[:, i, 10 * k : 10 * k + 10] for i in range(k + 1)} for k in range(n)
-    ]
+    blocks = [_link(gap, k) for k in range(robot.size)]
     sizes = list(link_spread(robot.chain.inertial))
     for effect in declared_effects(robot):
         one, gains = gap.columns(effect), effect.gain_values
@@ -61,17 +54,37 @@ def background(gap: Gap) -> _Blocks:
     return blocks, sizes
 
 
+def _link(gap: Gap, k: int) -> Columns:
+    """Columns of the ten numbers of a link, at all joints before it, (M, 10) each."""
+    # In the lower band, as those of effects that differentiate.
+    along = [body.link_columns(k)[:, : k + 1] for _, body, _ in gap.lower_band]
+    return dict(enumerate(gap.filtered(along).swapaxes(0, 1)))
+
+
 @_once  # the training and the test samples share them
 def friction_near_rest(gap: Gap) -> _Blocks:
     """Columns of soft dry friction near rest, and the size of each gain.
 
     Arms and solvers differ in the speed at which dry friction is full.
     """
-    level, joints = dry_friction(gap), range(gap.robot.size)
-    blocks: list[Columns]
-    blocks = [{j: soft_friction(gap, j, _KNEES, _LEADS)} for j in joints]
-    sizes = [np.full(blocks[j][j].shape[1], level[j]) for j in joints]
+    level, (blocks, _) = dry_friction(gap), _soft(gap)
+    sizes = [np.full(x[j].shape[1], level[j]) for j, x in enumerate(blocks)]
     return blocks, sizes
+
+
+@_once  # two joins may share a gap
+def _soft(gap: Gap) -> _Blocks:
+    """The columns of :func:`friction_near_rest`."""
+    if gap.joins:
+        return _stacked(gap, _soft)
+    joints = range(gap.robot.size)
+    return [{j: soft_friction(gap, j, _KNEES, _LEADS)} for j in joints], []
+
+
+def _stacked(gap: Gap, blocks: Callable[[Gap], _Blocks]) -> _Blocks:
+    """Blocks of the gaps that a gap joins, one after the other."""
+    each, (sizes, *_) = zip(*map(blocks, gap.joins), strict=True)
+    return [stacked(x) for x in zip(*each, strict=True)], sizes
 
 
 @_once  # the training and the test samples share them
@@ -106,10 +119,10 @@ def soft_friction(
     Friction is full from a speed on, the knee, [rad/s]. A solver reverses it before the
     joint does, by the lead, [s].
     """
-    parts = []
-    for motion, _, sampler in gap:
-        v, a = motion.v[:, joint, None], motion.a[:, joint, None]
-        ahead = (v + a * np.asarray(leads))[:, :, None] / np.asarray(knees)
-        soft = np.clip(ahead, -1.0, 1.0) - np.sign(v)[:, :, None]
-        parts.append(sampler(soft.reshape(len(v), -1)))
-    return np.concatenate(parts)
+    parts, knee = [], np.asarray(knees)[:, None]
+    for motion in gap.motions:
+        v, a = motion.v[:, joint], motion.a[:, joint]
+        ahead = np.stack([v + a * lead for lead in leads])
+        soft = np.clip(ahead[:, None] / knee, -1.0, 1.0) - np.sign(v)
+        parts.append(soft.reshape(-1, 1, len(v)).T)
+    return gap.filtered(parts)[:, 0]
