@@ -92,7 +92,7 @@ class Effect(InPlant, Instant, ABC):
     # By id of a law with the same torque on every motion: an experiment that separates
     # the two.
     told_apart: ClassVar[Mapping[str, str]] = {}
-    # The gain that a pair of scales shows as well, and the id of the law whose gain, if
+    # Its mass, a gain that weighing shows as well, and the id of the law whose gain, if
     # all joints share it, multiplies all gains of this one.
     weighed: ClassVar[tuple[str, str] | None] = None
     # Ids of laws that look like it if the logged torque has another scale.

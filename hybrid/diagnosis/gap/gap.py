@@ -146,23 +146,23 @@ class Gap:
             return dict.fromkeys(effect.reaches(self.robot.size), none)
         if lower_band is None:
             lower_band = effect.differentiates or self.is_above_band(effect)
-        return self._that_hold(effect, lower_band)
+        return self._cached(effect, lower_band)
 
-    def _that_hold(self, effect: Effect, lower_band: bool) -> Columns:
-        """Columns of an effect whose law holds, see :meth:`columns`; they are kept."""
+    def _cached(self, effect: Effect, lower_band: bool) -> Columns:
+        """See :meth:`columns`; whether or not the recordings allow the law."""
         gains = effect.gains if effect.linearised or effect.steep else ()
         values = tuple(effect.values[x.name] for x in (*gains, *effect.shapes))
         key = type(effect), effect.joints, values, lower_band
         if key not in self._kept:
             if len(self._kept) == _KEPT:
                 self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = self._made(effect, lower_band)
+            self._kept[key] = self._evaluated(effect, lower_band)
         return self._kept[key]
 
-    def _made(self, effect: Effect, lower_band: bool) -> Columns:
-        """See :meth:`_that_hold`."""
+    def _evaluated(self, effect: Effect, lower_band: bool) -> Columns:
+        """See :meth:`columns`; shape (M, p) at each joint."""
         if self.joins:  # they may keep theirs from another join
-            return stacked([x._that_hold(effect, lower_band) for x in self.joins])
+            return stacked([x._cached(effect, lower_band) for x in self.joins])
         gains, parts = effect.gain_values, []
         whole = self.reported if effect.reports else self
         lower = self.lower_band_reported if effect.reports else self.lower_band
@@ -179,7 +179,7 @@ class Gap:
         """Signals along each motion, (N, r, p), as the gap is filtered, (M, r, p).
 
         A few signals of motions of one length are filtered at once, which halves the
-        time of one signal.
+        time of one signal. More of them would leave the processor's cache.
         """
         each = [(x.T, s) for x, s in zip(signals, self.samplers, strict=True)]
         parts = list[Array]()  # (p, r, M): time is last, as in the filter
@@ -238,9 +238,7 @@ class Gap:
         A further derivative of a noisy position is mostly noise. The gain of a noisy
         column would come out too small.
         """
-        parts = [part for gap in self.joins for part in gap.lower_band]
-        if parts:
-            return parts
+        parts = []
         for m, body, sampler in self:
             low = partial(butterworth, rate=m.rate, cutoff=LOWER_BAND * self.cutoff)
             # The torque is filtered: simulated again, its dry friction would reverse
