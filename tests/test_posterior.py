@@ -663,10 +663,10 @@ def test_an_arm_touches_one_thing_at_a_time(one, two, excludes):
 @pytest.mark.parametrize(
     ("left", "noise", "others", "little"),
     [
-        (0.4, 0.01, 5.0, True),
-        (0.5, 0.01, 5.0, False),  # 0.25 − 0.01 is above 0.3² of 1.5²
-        (0.5, 0.09, 5.0, True),
-        (0.5, 0.09, 0.01, False),  # the noise of most samples is far lower
+        (0.25, 0.01, 5.0, True),
+        (0.3, 0.01, 5.0, False),  # 0.09 − 0.01 is above 0.2² of 1.3²
+        (0.3, 0.04, 5.0, True),
+        (0.3, 0.04, 0.01, False),  # the noise of most samples is far lower
     ],
 )
 def test_an_event_leaves_no_more_than_its_error(left, noise, others, little):

@@ -103,7 +103,6 @@ class Contacts:
             self._clocks.append(own)
         always = {"start": self._first, "duration": float(np.ptp(t)) + 1.0}
         columns = gap.columns(law(self._joints, always))
-        self._rate, self._cutoff = gap.rate, gap.cutoff
         self._columns = [columns[j] for j in self._joints]
 
     def strongest(

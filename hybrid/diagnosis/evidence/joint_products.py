@@ -61,6 +61,7 @@ class JointProducts:
             self._memory = _enlarged(self._memory, at, size)
         owner, first = [self.owner], [self._first]
         for x, numbers in blocks:
+            # With another mode NumPy would buffer the output.
             x.take(rows, axis=1, out=self._memory[at : at + len(x)], mode="clip")
             owner.append(numbers)
             first.append(np.full(len(x), at))
