@@ -8,11 +8,13 @@ from hybrid.signals import Motion
 
 
 class Contact(Effect):
-    """The last link pushes against something with a constant force and moment.
+    """The last link pushes against something with a force and moment that rise and fall.
 
     Force and moment are those of the arm on its environment, along the axes of the base
-    frame; the moment is about the origin of the last link's frame. Recordings are
-    counted from 0; −1 means all of them, on their common clock.
+    frame; the moment is about the origin of the last link's frame. Their direction is
+    constant. They rise and fall linearly, for equal times, which are together the part
+    ``rise`` of the duration. Recordings are counted from 0; −1 means all of them, on
+    their common clock.
     """
 
     id = "contact"
@@ -20,7 +22,7 @@ class Contact(Effect):
     not_in_loop = "it happened once, during the recording"
     scope = "arm"
     repeats = "recording"
-    choices = 8.0
+    choices = 10.0
     gains = (
         *(Quantity(f"force_{x}", "N", 10.0, -500.0, 500.0) for x in "xyz"),
         *(Quantity(f"moment_{x}", "N·m", 1.0, -100.0, 100.0) for x in "xyz"),
@@ -28,21 +30,22 @@ class Contact(Effect):
     shapes = (
         Quantity("start", "s", 1.0, 0.0, 1e9),
         Quantity("duration", "s", 0.5, 0.01, 1e9),
+        Quantity("rise", "", 0.0, 0.0, 1.0),
         Quantity("recording", "", -1.0, -1.0, 1e6, whole=True),
     )
-    equation = "τ = Jᵀ(q) f for start ≤ t < start + duration"
+    equation = "τ = Jᵀ(q) f w(t) for start ≤ t < start + duration"
     source = "Haddadin et al. 2017, doi 10.1109/TRO.2017.2723903"
     sentence = "The arm touches something for a while."
     remedy = "Clear the path, and record again; or cut that time out of the recording."
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """See :meth:`Effect.columns`; shape (N, n, 6)."""
-        touching = self._touching(motion.t, motion.number)
-        return touching[:, None, None] * body.wrench_columns(self.joints[-1])
+        strength = self._strength(motion.t, motion.number)
+        return strength[:, None, None] * body.wrench_columns(self.joints[-1])
 
     def push(self, t: Array, recording: Index) -> Array:
         """Force and moment during the contact, zero otherwise, shape (B, 6)."""
-        return self._touching(t, recording)[:, None] * self.gain_values
+        return self._strength(t, recording)[:, None] * self.gain_values
 
     def excludes(self, other: Effect) -> bool:
         """See :meth:`Effect.excludes`; the arm touches one thing at a time."""
@@ -54,7 +57,10 @@ class Contact(Effect):
         ends = (x["start"] + x["duration"] for x in (here, there))
         return len(both) < 2 and latest < min(ends)
 
-    def _touching(self, t: Array, recording: Index | int) -> Array:
-        start, duration, own = self.shape_values.values()
+    def _strength(self, t: Array, recording: Index | int) -> Array:
+        """Force over the largest one, shape (N,)."""
+        start, duration, rise, own = self.shape_values.values()
         here = (t >= start) & (t < start + duration)
-        return np.where(here & ((own == -1.0) | (recording == own)), 1.0, 0.0)
+        edge = np.minimum(t - start, start + duration - t) * 2 / duration
+        part = np.clip(edge / max(rise, 1e-9), 0.0, 1.0)
+        return np.where(here & ((own == -1.0) | (recording == own)), part, 0.0)

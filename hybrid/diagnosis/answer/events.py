@@ -54,9 +54,9 @@ def contacts_in_motion(gap: Gap, effects: Iterable[Effect]) -> tuple[Event, ...]
         number = int(own[0]) if len(own) == 1 else number
         if during.any():
             name = gap.motions[number].source if number >= 0 else "each recording"
-            force = effect.gain_values
-            torque = (_wrenches(gap)[during] @ force).mean(axis=0)
-            both = tuple(torque.tolist()), tuple(force.tolist())
+            push = effect.push(t, gap.trajectory)[during]
+            torque = np.einsum("mnk,mk->n", _wrenches(gap)[during], push) / len(push)
+            both = tuple(torque.tolist()), tuple(push.mean(axis=0).tolist())
             found.append((number, start, Event(name or str(number), start, end, *both)))
     return tuple(event for *_, event in sorted(found, key=lambda x: x[:2]))
 

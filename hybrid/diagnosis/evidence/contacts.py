@@ -21,6 +21,8 @@ _FAST = 0.1  # of a joint's highest speed
 _LONGEST = 1 / 3  # of a recording
 _SPREAD = 2.0  # times the typical gain, prior standard deviation of the scan
 _OF_ALL = -1  # number that stands for all recordings
+_CONSTANT = 0.5  # of the torque, that a constant one leaves of one that rises and falls
+_RISE = 0.5  # of a contact's duration, before it is fitted
 _WORTH = 14.0  # nat, odds against one of some thousand stretches
 
 
@@ -149,9 +151,13 @@ class Contacts:
         return [self._contact(s) for s in events[:count]]
 
     def _contact(self, stretch: _Stretch) -> Effect:
+        """A contact that is half as strong at both ends of a stretch."""
+        duration = _CHUNK * stretch.length / (1.0 - _RISE / 2)
+        middle = self._first + _CHUNK * (stretch.first + stretch.length / 2)
         times = {
-            "start": self._first + _CHUNK * stretch.first,
-            "duration": _CHUNK * stretch.length,
+            "start": max(middle - duration / 2, 0.0),
+            "duration": duration,
+            "rise": _RISE,
             "recording": float(stretch.recording),
         }
         return self._law(self._joints, times)
@@ -183,7 +189,7 @@ def _stretches(
         explained = np.einsum("ck,ck->c", b, gains)
         gain = 0.5 * explained - 0.5 * np.linalg.slogdet(A)[1]
         rest = before - explained - np.sum(gains**2, axis=1) - size
-        all_of_it = rest < Prior.event_error**2 * before
+        all_of_it = rest < _CONSTANT**2 * before
         # Of those that differ by unused samples only, the shortest is the most likely.
         gain -= np.log(length)
         gain = np.where(clock.unbroken(length) & all_of_it, gain, 0.0)

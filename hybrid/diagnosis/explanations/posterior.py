@@ -206,32 +206,26 @@ class Posterior:
 
         return np.asarray(self._cached(loss, "held-out loss", frozenset(causes)))
 
-    def explains_its_time(self, cause: Cause, causes: Sequence[Cause]) -> bool:
+    def explains_its_time(
+        self, cause: Cause, causes: Sequence[Cause], test: OtherSamples | None = None
+    ) -> bool:
         """Whether one of some causes is an event that leaves little while it lasts.
 
         No other motion foretells an event. Its torque has to be all that happens then.
-        """
-        if not cause.is_event:
-            return False
-        index = self.columns(causes)
-        gains = self.evidence.solve(index).of(cause.index)
-        columns, lefts = self.columns_of(cause), self.evidence.residuals(index)
-        return self.explains(self.evidence, columns, gains, lefts)
-
-    def explains(
-        self, evidence: Evidence, columns: Columns, gains: Array, lefts: Sequence[Array]
-    ) -> bool:
-        """Whether a torque leaves no more, while it lasts, than the error of an event.
-
         The estimate of the noise may hold other events: that of most samples counts.
 
         Args:
-            evidence: The samples.
-            columns: Torque per gain by joint, shape (M, p) each.
-            gains: Shape (p,).
-            lefts: What it leaves at each joint, in the order of ``evidence.rows``.
+            cause: The cause.
+            causes: All causes, which are fitted together.
+            test: The samples; those of training by default.
         """
-        before = after = 0.0
+        if not cause.is_event:
+            return False
+        seen = test or self
+        evidence, index = seen.evidence, seen.columns(causes)
+        own = cause.index if test is None else test.own(cause)
+        gains, columns = evidence.solve(index).of(own), self.columns_of(cause)
+        lefts, before, after = evidence.residuals(index), 0.0, 0.0
         for i, (left, rows) in enumerate(zip(lefts, evidence.rows, strict=True)):
             torque = columns[i][rows] @ gains if i in columns else np.zeros(len(rows))
             lasts = np.abs(torque) > np.abs(torque).max(initial=0.0) / 2

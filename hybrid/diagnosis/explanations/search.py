@@ -115,11 +115,8 @@ class Search(Moves):
             better, worth = refine(test.evidence, base, c)
             if worth - self.prior.cause - self.model_error_odds(better) <= LEAST_GAIN:
                 continue
-            columns = gap.columns(better.effect)
-            gains = test.evidence.trial(base, columns, better.std, better.lower).gains
-            pairs = enumerate(zip(left, test.evidence.rows, strict=True))
-            after = [x - columns[i][rows] @ gains for i, (x, rows) in pairs]
-            if self.explains(test.evidence, columns, gains, after):
+            cause = self.cause(better)
+            if self.explains_its_time(cause, [*self.causes, cause], test):
                 happened.append(better.effect)
         found = np.zeros(len(test.use), dtype=bool)
         for x in happened:
