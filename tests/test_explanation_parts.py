@@ -81,7 +81,7 @@ class Steps(Search):
         names = "".join(sorted(c.place[0] for c in causes))
         return np.array(self.losses.get(names, (-self.score(causes),) * 2))
 
-    def explains_its_time(self, cause, causes):
+    def is_isolated(self, cause, causes):
         return cause in self.once
 
     def columns(self, causes):

@@ -306,11 +306,11 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
     at.test.tests = lambda c, causes: False
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
-    push, at.explains_its_time = cause("a", repeats="recording"), lambda c, _: c is push
+    push, at.is_isolated = cause("a", repeats="recording"), lambda c, _: c is push
     assert at.unseen_gain([push, B]) == {push: np.inf, B: 3.0}
-    at.explains_its_time = lambda c, causes: False  # nothing tells that it is there
+    at.is_isolated = lambda c, causes: False  # nothing tells that it is there
     assert at.unseen_gain([push, B]) == {push: 0.0, B: 3.0}
-    at.explains_its_time = lambda c, causes: c is push
+    at.is_isolated = lambda c, causes: c is push
     at.test.tests = lambda c, causes: True
     assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
 

@@ -13,8 +13,8 @@ class Prior:
         unknown: Log odds against an unknown law at a joint, [nat].
         law_error: RMS error of a law of the library over that of the gap.
         real_law_error: The same of a real law, which differs from all simple laws.
-        event_error: The same of an event: a push by hand rises and falls. Half a sine
-            differs by 0.18 from a constant while it is above one half.
+        event_error: RMS of what an event leaves around its time over that of its
+            torque, at most; and the share of its squares that a law foretells.
         solver_error: RMS difference of two simulators over the RMS torque.
         file_errors: Relative errors of the links' numbers in the file that are tried.
             The second one is typical, and that of all other numbers: friction that is

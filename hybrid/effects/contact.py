@@ -8,7 +8,7 @@ from hybrid.signals import Motion
 
 
 class Contact(Effect):
-    """The last link pushes against something with a force and moment that rise and fall.
+    """The last link pushes against something; force and moment rise and fall.
 
     Force and moment are those of the arm on its environment, along the axes of the base
     frame; the moment is about the origin of the last link's frame. Their direction is

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.diagnosis.prior import Prior
 from hybrid.effects import Effect
 from hybrid.statistics import robust_std
 
@@ -116,9 +114,6 @@ class Contacts:
     ) -> list[Effect]:
         """Contacts that explain most of a residual, which do not meet.
 
-        A contact is all that happens while it lasts, and does not happen often: bursts
-        of noise, vibrations and errors of other laws are none.
-
         Args:
             left: Residual of each joint, shape (R_i,), [N·m].
             rows: Samples of the gap of each residual, shape (R_i,).
@@ -146,9 +141,7 @@ class Contacts:
         for stretch in sorted(stretches, reverse=True):
             if not any(stretch.meets(x) for x in found):
                 found.append(stretch)
-        times = Counter(s.recording for s in found)
-        events = [s for s in found if times[s.recording] <= Prior.most_repeated]
-        return [self._contact(s) for s in events[:count]]
+        return [self._contact(s) for s in found[:count]]
 
     def _contact(self, stretch: _Stretch) -> Effect:
         """A contact that is half as strong at both ends of a stretch."""

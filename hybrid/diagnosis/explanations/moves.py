@@ -46,7 +46,7 @@ class Moves(Proposals):
         foretold by other folds.
         """
         new = [c for c in causes if c not in self.causes]
-        if new and all(self.explains_its_time(c, causes) for c in new):
+        if new and all(self.is_isolated(c, causes) for c in new):
             return True
         now, then = map(self.held_out_loss, (self.causes, causes))
         simpler = len(self.columns(causes)) < len(self.columns(self.causes))

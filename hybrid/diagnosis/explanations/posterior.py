@@ -35,7 +35,7 @@ from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.gap.measure import unseen_samples
 from hybrid.diagnosis.prior import Prior
-from hybrid.effects import effect_classes
+from hybrid.effects import Effect, effect_classes
 from hybrid.statistics import robust_std
 
 _RIPPLES = 9  # orders at each joint, in the regression that estimates the noise
@@ -206,33 +206,38 @@ class Posterior:
 
         return np.asarray(self._cached(loss, "held-out loss", frozenset(causes)))
 
-    def explains_its_time(
+    def is_isolated(
         self, cause: Cause, causes: Sequence[Cause], test: OtherSamples | None = None
     ) -> bool:
-        """Whether one of some causes is an event that leaves little while it lasts.
+        """Whether one of some causes is an event, and not a part of what recurs.
 
-        No other motion foretells an event. Its torque has to be all that happens then.
-        The estimate of the noise may hold other events: that of most samples counts.
+        Its torque has to be all that happens around its time, and no unknown law that
+        fits all other times may foretell it.
 
         Args:
             cause: The cause.
             causes: All causes, which are fitted together.
             test: The samples; those of training by default.
         """
-        if not cause.is_event:
+        if cause.candidate is None or not cause.is_event:
             return False
-        seen = test or self
+        seen, near = test or self, around(self.gap, cause.candidate.effect)
         evidence, index = seen.evidence, seen.columns(causes)
         own = cause.index if test is None else test.own(cause)
         gains, columns = evidence.solve(index).of(own), self.columns_of(cause)
-        lefts, before, after = evidence.residuals(index), 0.0, 0.0
+        lefts, size = evidence.residuals(index), len(evidence.rows)
+        before, after, foretold = (np.zeros(size) for _ in range(3))
         for i, (left, rows) in enumerate(zip(lefts, evidence.rows, strict=True)):
-            torque = columns[i][rows] @ gains if i in columns else np.zeros(len(rows))
-            lasts = np.abs(torque) > np.abs(torque).max(initial=0.0) / 2
+            then, torque = near[rows], columns[i][rows] @ gains
+            # The estimate of the noise may hold other events: most samples count.
             noise = min(evidence.noise[i], robust_std(left) ** 2) or evidence.noise[i]
-            before += ((left + torque)[lasts] ** 2).sum() / noise
-            after += (left[lasts] ** 2 / noise - 1.0).sum()
-        return bool(after < self.prior.event_error**2 * before)
+            before[i] = ((left + torque)[then] ** 2).sum() / noise
+            after[i] = (left[then] ** 2 / noise - 1.0).sum()
+            if test is None and then.any():
+                foretold[i] = self.laws.foretold(i, left + torque, then)
+        most, part = int(np.argmax(before)), self.prior.event_error
+        alone = after.sum() < part**2 * before.sum()
+        return bool(alone and foretold[most] < part)
 
     def unseen_loss(self, causes: Sequence[Cause]) -> Array:
         """Loss of some causes on the test samples, shape (2,), [nat].
@@ -258,7 +263,7 @@ class Posterior:
         whole, gains = self.unseen_loss(causes), dict[Cause, float]()
         for c in causes:
             if c.is_event and not self.test.tests(c, causes):
-                gains[c] = np.inf if self.explains_its_time(c, causes) else 0.0
+                gains[c] = np.inf if self.is_isolated(c, causes) else 0.0
                 continue
             rest = [x for x in causes if x is not c]
             others = [rest, *([*rest, x] for x in self._simpler(c, rest))]
@@ -308,3 +313,13 @@ class Posterior:
         self.file_error = error
         self.evidence.scale_prior(self.numbers, error)
         self._set_noise()
+
+
+def around(gap: Gap, contact: Effect) -> NDArray[np.bool_]:
+    """Samples of a contact, and as many before and after, which bound it; (M,)."""
+    start, length, recording = (
+        contact.values[x] for x in ("start", "duration", "recording")
+    )
+    t, reach = gap.sampled.t, length + 1.0 / gap.cutoff
+    near = (t >= start - reach) & (t < start + length + reach)
+    return np.asarray(near & ((recording < 0) | (gap.trajectory == recording)))

@@ -19,6 +19,7 @@ from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.moves import LEAST_GAIN, Moves
+from hybrid.diagnosis.explanations.posterior import around
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect
 from hybrid.progress import Progress, silent
@@ -116,11 +117,11 @@ class Search(Moves):
             if worth - self.prior.cause - self.model_error_odds(better) <= LEAST_GAIN:
                 continue
             cause = self.cause(better)
-            if self.explains_its_time(cause, [*self.causes, cause], test):
+            if self.is_isolated(cause, [*self.causes, cause], test):
                 happened.append(better.effect)
         found = np.zeros(len(test.use), dtype=bool)
         for x in happened:
-            found |= _around(gap, x)
+            found |= around(gap, x)
         return found & test.use
 
     def _restart(self) -> None:
@@ -301,13 +302,3 @@ class Search(Moves):
         self._remove()
         self._certain = []
         return True
-
-
-def _around(gap: Gap, contact: Effect) -> NDArray[np.bool_]:
-    """Samples of a contact, and as many before and after, which bound it; (M,)."""
-    start, length, recording = (
-        contact.values[x] for x in ("start", "duration", "recording")
-    )
-    t, reach = gap.sampled.t, length + 1.0 / gap.cutoff
-    near = (t >= start - reach) & (t < start + length + reach)
-    return np.asarray(near & ((recording < 0) | (gap.trajectory == recording)))

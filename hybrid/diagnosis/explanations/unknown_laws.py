@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Place
@@ -71,6 +72,23 @@ class UnknownLaws:
         (joint,) = law.place[1]
         laws = self._without_waves(joint)
         return next(columns for name, columns in laws if name == law.place[0])
+
+    def foretold(self, joint: int, left: Array, then: NDArray[np.bool_]) -> float:
+        """Share of squares at some time that a law explains which fits all other times.
+
+        Args:
+            joint: The joint.
+            left: Its residual on the evidence's samples, shape (R,), [N·m].
+            then: The time, shape (R,).
+        """
+        evidence, most = self._evidence, 0.0
+        for law in (x for x in self.all if x.place[1] == (joint,)):
+            X = evidence.base_columns(law.index, joint)[1].T
+            A, b, y = X[~then], left[~then], left[then]
+            H = A.T @ A + np.diag(evidence.precision[law.index] * evidence.noise[joint])
+            x = y - X[then] @ np.linalg.solve(H, A.T @ b)
+            most = max(most, 1.0 - float(x @ x / (y @ y)))
+        return most
 
     def widened(self, base: Index, law: Cause) -> Cause:
         """A law with the most probable width of its prior; it is made once."""
