@@ -395,6 +395,18 @@ def test_a_push_lasts_from_its_start_for_its_duration_in_its_recording():
         np.testing.assert_array_equal(seen, touching & there)
 
 
+@pytest.mark.parametrize("rise", [0.0, 0.3, 1.0])
+def test_a_push_rises_and_falls_in_a_part_of_its_duration(rise):
+    law = effect("contact", 0, force_x=4.0, start=1.0, duration=0.5, rise=rise)
+    t = 1.0 + 0.5 * (np.arange(1000) + 0.5) / 1000
+    push = law.push(t, np.zeros(1000, dtype=np.intp))[:, 0]
+    assert push.mean() == pytest.approx(4.0 * (1 - rise / 2), rel=1e-4)
+    assert push[500] == pytest.approx(4.0, rel=2e-3)
+    np.testing.assert_allclose(push, push[::-1], atol=1e-9)  # as fast down as up
+    held = push[int(500 * rise) + 1 : 999 - int(500 * rise)]
+    np.testing.assert_allclose(held, 4.0, rtol=2e-3)
+
+
 def test_without_gravity_an_arm_tilts_as_if_it_stood_on_the_floor():
     np.testing.assert_array_equal(level_axes(np.zeros(3)), np.eye(3)[:2])
 

@@ -32,6 +32,7 @@ contact               moment_y          1        -100     100      1     N·m
 contact               moment_z          1        -100     100      1     N·m
 contact               start             1        0        1e+09    1     s
 contact               duration          0.5      0.01     1e+09    1     s
+contact               rise              0        0        1        1     -
 contact               recording         -1       -1       1e+06    1     - whole
 controller_gain       stiffness         -0.2     -0.9     5        1     -
 controller_gain       damping           -0.2     -0.9     5        1     -
@@ -167,7 +168,7 @@ def test_a_fit_treats_an_effect_as_it_says(name):
     rough = {"backlash": 0.4, "elasticity": 0.4}
     assert effect.rough == rough.get(name, 0.0)
     assert effect.exact_fields.items() <= effect.fields.items()
-    distinct = {"contact": 8.0, "torque_ripple": 6.0}
+    distinct = {"contact": 10.0, "torque_ripple": 6.0}
     assert effect.choices == distinct.get(name)
     inexact = {
         "backlash": {"half_width": 0.1},

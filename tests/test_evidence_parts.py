@@ -120,9 +120,9 @@ def test_a_contact_does_not_go_on_where_no_sample_is_used():
     assert (best.first, best.length) == (5 + 10, 6)
 
 
-@pytest.mark.parametrize(("rest", "is_one"), [(0.0, True), (0.03, True), (0.06, False)])
-def test_a_contact_is_all_that_happens_meanwhile(rest, is_one):
-    """A fifth of its RMS may be left, as a push by hand is not constant."""
+@pytest.mark.parametrize(("rest", "is_one"), [(0.0, True), (0.18, True), (0.4, False)])
+def test_a_contact_is_most_of_what_happens_meanwhile(rest, is_one):
+    """Half of its RMS may be left, as a push by hand is not constant."""
     best = max(_stretches(*one_push(range(10, 16), strength=50.0, rest=rest)))
     assert (best.gain > 0.0) == is_one
 
@@ -177,30 +177,15 @@ def test_a_push_is_found_in_its_recording_or_in_all_of_them(recordings, number):
     found = Contacts(gap, Contact).strongest(left, rows, np.full(2, 0.02**2), 3)
     best = found[0].values
     assert best["recording"] == number and found[0].joints == (0, 1)
-    assert best["start"] == pytest.approx(1.0, abs=0.051)
-    assert best["duration"] == pytest.approx(0.6, abs=0.11)
+    # It is half as strong at both ends of a stretch.
+    assert best["start"] + best["duration"] / 2 == pytest.approx(1.3, abs=0.051)
+    assert 0.75 * best["duration"] == pytest.approx(0.6, abs=0.11)
+    assert best["rise"] == 0.5
     assert (
         len(Contacts(gap, Contact).strongest(left, rows, np.full(2, 0.02**2), 1)) == 1
     )
     none = [0.02 * np.random.default_rng(1).standard_normal(len(x)) for x in left]
     assert Contacts(gap, Contact).strongest(none, rows, np.full(2, 0.02**2), 3) == []
-
-
-@pytest.mark.parametrize(("times", "found"), [(3, 3), (5, 0)])
-def test_what_happens_often_is_no_event(times, found):
-    gap = gap_of(size=2)
-    left = 0.02 * np.random.default_rng(0).standard_normal(gap.left.shape)
-    push = gap.columns(Contact((0, 1), {"start": 0.0, "duration": 1e6}))
-    t = gap.sampled.t - gap.sampled.t.min()
-    for start in np.linspace(0.3, 0.8 * t.max(), times):
-        # A push by hand: half a sine.
-        phase = np.clip((t - start) / 0.3, 0.0, 1.0) * (gap.trajectory == 1)
-        for j in (0, 1):
-            left[:, j] += 30.0 * push[j][:, 0] * np.sin(np.pi * phase)
-    rows = [np.flatnonzero(x) for x in gap.moving.T]
-    given = [left[r, j] for j, r in enumerate(rows)]
-    events = Contacts(gap, Contact).strongest(given, rows, np.full(2, 0.02**2), 9)
-    assert len(events) == found
 
 
 def test_slow_samples_say_nothing_of_a_contact():

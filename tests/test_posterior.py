@@ -2,7 +2,6 @@
 
 import weakref
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from hybrid.diagnosis.explanations.refit import (
 )
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.measure import measure_gap, split
-from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
@@ -660,20 +658,55 @@ def test_an_arm_touches_one_thing_at_a_time(one, two, excludes):
     assert one.excludes(two) == two.excludes(one) == excludes
 
 
-@pytest.mark.parametrize(
-    ("left", "noise", "others", "little"),
-    [
-        (0.25, 0.01, 5.0, True),
-        (0.3, 0.01, 5.0, False),  # 0.09 − 0.01 is above 0.2² of 1.3²
-        (0.3, 0.04, 5.0, True),
-        (0.3, 0.04, 0.01, False),  # the noise of most samples is far lower
-    ],
-)
-def test_an_event_leaves_no_more_than_its_error(left, noise, others, little):
-    evidence = SimpleNamespace(rows=[np.arange(90)], noise=np.array([noise]))
-    columns = np.zeros((90, 1))
-    columns[30:60] = 2.0
-    rest = np.where(columns[:, 0] > 0, left, others)
-    at = SimpleNamespace(prior=Prior())
-    found = Posterior.explains(at, evidence, {0: columns}, np.array([0.5]), [rest])
-    assert found == little
+START, LASTS = 1.0, 0.6  # s
+
+
+def pushed(more=lambda t: 0.0, force=30.0):
+    """A posterior of four logs, a push by hand in one of them, and its cause.
+
+    Args:
+        more: Torque of both joints besides, by the time in that log, [N·m].
+        force: Largest force of half a sine, [N].
+    """
+    gap = gap_of(size=2)
+    t, here = gap.sampled.t, gap.trajectory == 1
+    law = push(START, LASTS, 1.0)
+    columns, left = gap.columns(law), gap.left.copy()
+    phase = np.clip((t - START) / LASTS, 0.0, 1.0)
+    for j in (0, 1):
+        left[:, j] += force * np.sin(np.pi * phase) * columns[j][:, 0]
+    left += np.where(here, more(t), 0.0)[:, None]
+    at = Posterior(replace(gap, left=left))
+    return at, at.cause(candidate(gap, law.at({"rise": 0.7})))
+
+
+def beside(t):
+    """A sinusoid before and after the push, and nothing meanwhile."""
+    return np.where((t < START) | (t > START + LASTS), 20.0 * np.sin(9.0 * t), 0.0)
+
+
+def test_a_push_by_hand_is_isolated():
+    at, cause = pushed()
+    assert at.is_isolated(cause, [cause])
+    at, cause = pushed(lambda t: 20.0 * (t > 3.0))  # later
+    assert at.is_isolated(cause, [cause])
+
+
+def test_what_goes_on_before_and_after_is_not_isolated():
+    at, cause = pushed(beside)
+    assert not at.is_isolated(cause, [cause])
+
+
+def test_a_force_of_another_shape_is_not_isolated():
+    at, cause = pushed(lambda t: 20.0 * np.sin(40.0 * t) * (abs(t - 1.3) < 0.3))
+    assert not at.is_isolated(cause, [cause])
+
+
+def test_what_recurs_with_the_position_is_foretold():
+    at, _ = pushed()
+    _, rows = at.evidence.rows
+    q, t = at.gap.sampled.q[rows, 1], at.gap.sampled.t[rows]
+    then = (at.gap.trajectory[rows] == 1) & (abs(t - 1.3) < 0.3)
+    assert at.laws.foretold(1, np.cos(2.0 * q), then) > 0.9
+    once = np.where(then, 3.0, NOISE * np.sin(50.0 * t))
+    assert at.laws.foretold(1, once, then) < 0.1

@@ -61,6 +61,8 @@ class Contact(Effect):
         """Force over the largest one, shape (N,)."""
         start, duration, rise, own = self.shape_values.values()
         here = (t >= start) & (t < start + duration)
-        edge = np.minimum(t - start, start + duration - t) * 2 / duration
-        part = np.clip(edge / max(rise, 1e-9), 0.0, 1.0)
-        return np.where(here & ((own == -1.0) | (recording == own)), part, 0.0)
+        here = here & ((own == -1.0) | (recording == own))
+        if rise == 0.0:
+            return here.astype(float)
+        edge = np.minimum(t - start, start + duration - t) / duration
+        return here * np.clip(2 * edge / rise, 0.0, 1.0)

@@ -225,19 +225,18 @@ class Posterior:
         evidence, index = seen.evidence, seen.columns(causes)
         own = cause.index if test is None else test.own(cause)
         gains, columns = evidence.solve(index).of(own), self.columns_of(cause)
-        lefts, size = evidence.residuals(index), len(evidence.rows)
-        before, after, foretold = (np.zeros(size) for _ in range(3))
-        for i, (left, rows) in enumerate(zip(lefts, evidence.rows, strict=True)):
-            then, torque = near[rows], columns[i][rows] @ gains
-            # The estimate of the noise may hold other events: most samples count.
-            noise = min(evidence.noise[i], robust_std(left) ** 2) or evidence.noise[i]
-            before[i] = ((left + torque)[then] ** 2).sum() / noise
-            after[i] = (left[then] ** 2 / noise - 1.0).sum()
-            if test is None and then.any():
-                foretold[i] = self.laws.foretold(i, left + torque, then)
-        most, part = int(np.argmax(before)), self.prior.event_error
-        alone = after.sum() < part**2 * before.sum()
-        return bool(alone and foretold[most] < part)
+        left, rows = evidence.residuals(index), evidence.rows
+        torque = [columns[i][r] @ gains for i, r in enumerate(rows)]
+        sizes = np.array([x @ x for x in torque]) / evidence.noise
+        i = int(np.argmax(sizes))  # other joints may have gaps of their own
+        before, then = left[i] + torque[i], near[rows[i]]
+        # The estimate of the noise may hold other events: most samples count.
+        noise = min(evidence.noise[i], robust_std(left[i]) ** 2)
+        rest = (left[i][then] ** 2 - noise).sum()
+        alone = rest < self.prior.event_error**2 * (before[then] ** 2).sum()
+        if not alone or test is not None:
+            return bool(alone)
+        return self.laws.foretold(i, before, then) < self.prior.event_error
 
     def unseen_loss(self, causes: Sequence[Cause]) -> Array:
         """Loss of some causes on the test samples, shape (2,), [nat].

@@ -76,19 +76,28 @@ class UnknownLaws:
     def foretold(self, joint: int, left: Array, then: NDArray[np.bool_]) -> float:
         """Share of squares at some time that a law explains which fits all other times.
 
+        Only laws count that have a good part of the best one's evidence there.
+
         Args:
             joint: The joint.
             left: Its residual on the evidence's samples, shape (R,), [N·m].
             then: The time, shape (R,).
         """
-        evidence, most = self._evidence, 0.0
+        evidence, whole = self._evidence, float(left[then] @ left[then])
+        found = list[tuple[float, float]]()
         for law in (x for x in self.all if x.place[1] == (joint,)):
             X = evidence.base_columns(law.index, joint)[1].T
-            A, b, y = X[~then], left[~then], left[then]
-            H = A.T @ A + np.diag(evidence.precision[law.index] * evidence.noise[joint])
-            x = y - X[then] @ np.linalg.solve(H, A.T @ b)
-            most = max(most, 1.0 - float(x @ x / (y @ y)))
-        return most
+            X = X / np.sqrt(evidence.precision[law.index])
+            A, b = X[~then], left[~then]
+            H = np.eye(X.shape[1]) + A.T @ A / evidence.noise[joint]
+            s = A.T @ b / evidence.noise[joint]
+            gains = np.linalg.solve(H, s)
+            worth = s @ gains - np.linalg.slogdet(H)[1]
+            rest = left[then] - X[then] @ gains
+            found.append((float(worth), 1.0 - float(rest @ rest) / whole))
+        best = max(worth for worth, _ in found)
+        likely = [x for worth, x in found if worth >= self._prior.refined_share * best]
+        return max(likely, default=0.0)
 
     def widened(self, base: Index, law: Cause) -> Cause:
         """A law with the most probable width of its prior; it is made once."""
