@@ -394,6 +394,11 @@ class TestVerdict:
         assert where.endswith("; most is left at elbow: 1.3 of 2\u00a0N·m")
         where = headline(replace(some, unseen=replace(left, named=(1.2, 2.1))))
         where = where.replace("\u00a0", " ")
+        assert where.endswith(
+            "elbow: none of 2 N·m has a certain cause, the written simulator leaves 1.9"
+        )
+        kept = replace(left, after=(1.2, 2.1), named=(1.2, 2.1))
+        where = headline(replace(some, unseen=kept)).replace("\u00a0", " ")
         assert where.endswith("; most is left at elbow, none of 2 N·m is explained")
         some = replace(some, unseen=None)
         assert headline(some).startswith("Coulomb friction at 3 joints, Coulomb ")

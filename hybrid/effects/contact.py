@@ -63,6 +63,6 @@ class Contact(Effect):
         here = (t >= start) & (t < start + duration)
         here = here & ((own == -1.0) | (recording == own))
         if rise == 0.0:
-            return np.asarray(here, dtype=np.float64)
+            return here.astype(np.float64)
         edge = np.minimum(t - start, start + duration - t) / duration
-        return here * np.clip(2 * edge / rise, 0.0, 1.0)
+        return np.asarray(here * np.clip(2 * edge / rise, 0.0, 1.0))

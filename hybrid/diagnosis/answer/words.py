@@ -79,9 +79,12 @@ def _rest(diagnosis: Diagnosis) -> str:
         return f"{rest:.0%} of the gap is left"
     joint, end, x = max(unseen, key=lambda x: x[2]["named"] - x[2]["noise"])
     whole = f"{number(x['before'])}{end or _NO_BREAK + _TORQUE}"
-    if x["named"] >= x["before"]:
+    if x["named"] < x["before"]:
+        return f"most is left at {joint}: {number(x['named'])} of {whole}"
+    if x["after"] >= x["before"]:
         return f"most is left at {joint}, none of {whole} is explained"
-    return f"most is left at {joint}: {number(x['named'])} of {whole}"
+    left = f"the written simulator leaves {number(x['after'])}"
+    return f"most is left at {joint}: none of {whole} has a certain cause, {left}"
 
 
 def joints_named(names: Sequence[str]) -> str:
