@@ -57,17 +57,13 @@ class RigidBody:
         """Torque per inertial parameter of one link, shape (N, n, 10)."""
         return self.columns[:, :, 10 * link : 10 * link + 10]
 
-    def response(self, dq: Array, dv: Array, da: Array) -> Array:
-        """Change of rigid torque along a change of motion, shape (N, n), [N·m].
+    def response(self, j: int, dq: Array, dv: Array, da: Array) -> Array:
+        """Change of rigid torque along a change of a joint's motion, (N, n), [N·m].
 
-        It is linear in the changes of position, speed and acceleration, (N, n) each.
+        It is linear in the changes of position, speed and acceleration, (N,) each.
         """
-        changes = np.array([dq.T, dv.T, da.T])
-        total = np.zeros(changes.shape[1:])  # (n, N): time is contiguous
-        for j in np.flatnonzero(changes.any(axis=(0, 2))).tolist():
-            for slope, x in zip(self.slopes(j), changes[:, j], strict=True):
-                total += slope.T * x
-        return total.T
+        by_q, by_v, by_a = self.slopes(j)
+        return (by_q.T * dq + by_v.T * dv + by_a.T * da).T
 
     def slopes(self, j: int) -> tuple[Array, Array, Array]:
         """Partial derivatives of all torques by q, v and a of a joint, (N, n) each.
