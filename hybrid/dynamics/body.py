@@ -102,11 +102,14 @@ class RigidBody:
 
             known = self.load, *self.slopes(j)
             signals = np.stack([x[:, j] for x in known], axis=1)
-            self._cubics = j, CubicSpline(np.arange(len(signals)), signals).c
+            cubics = CubicSpline(np.arange(len(signals)), signals).c.T  # (4, N − 1, 4)
+            last = np.zeros((4, 1, 4))
+            last[:, 0, 3] = signals[-1]
+            self._cubics = j, np.concatenate([cubics, last], axis=1)
         # All instants are at the same parts of a sample: no search is needed.
         powers, cubics = np.vander(np.arange(count) / count, 4), self._cubics[1]
-        inner = np.einsum("pNs,kp->sNk", cubics, powers).reshape(4, -1)
-        return np.column_stack([inner, cubics[:, -1].sum(axis=0)])
+        instants = count * (cubics.shape[1] - 1) + 1
+        return np.asarray((cubics @ powers.T).reshape(4, -1)[:, :instants])
 
     @property
     def gravity(self) -> Array:
