@@ -73,6 +73,7 @@ def test_response_is_the_derivative_of_the_torque_along_a_change(name):
     model, data = peer(robot)
     q, v, a = random_states(robot.size, 20)
     dq, dv, da = np.random.default_rng(1).normal(size=(3, 20, robot.size))
+    joints = range(robot.size)
     expected = []
     for k in range(20):
         by_q, by_v, by_a = pin.computeRNEADerivatives(model, data, q[k], v[k], a[k])
@@ -80,17 +81,18 @@ def test_response_is_the_derivative_of_the_torque_along_a_change(name):
         expected.append(by_q @ dq[k] + by_v @ dv[k] + by_a @ da[k])
     body = RigidBody(robot.chain, motion_of(q, v, a))
     # Rounding of the torque, 1e-16, over a step of 1e-4 leaves ten digits.
-    assert_close(body.response(dq, dv, da), np.array(expected), 1e-7)
+    found = sum(body.response(j, dq[:, j], dv[:, j], da[:, j]) for j in joints)
+    assert_close(found, np.array(expected), 1e-7)
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e6])
 def test_response_is_linear_in_the_change_whatever_its_size(size):
     robot = arm("ur10")
-    change = random_states(robot.size, 10, 1)
+    change = np.array(random_states(1, 10, 1))[:, :, 0]
     body = RigidBody(robot.chain, motion_of(*random_states(robot.size, 10)))
-    once = body.response(*change)
-    assert_close(body.response(*(size * x for x in change)) / size, once, 1e-7)
-    assert not body.response(*(0 * x for x in change)).any()
+    once = body.response(2, *change)
+    assert_close(body.response(2, *(size * change)) / size, once, 1e-7)
+    assert not body.response(2, *(0 * change)).any()
 
 
 # --- mechanics ----------------------------------------------------------------------
@@ -199,7 +201,8 @@ def test_the_number_of_samples_changes_no_sample(samples):
         ends = [0, samples - 1]
         assert_like_pinocchio(robot, *(x[ends] for x in some))
     body = RigidBody(chain, motion_of(*some))
-    assert body.response(*some).shape == (samples, n)
+    one = (x[:, 0] for x in some)
+    assert body.response(0, *one).shape == (samples, n)
 
 
 def test_some_entries_are_those_of_the_whole_regressor():

@@ -95,11 +95,10 @@ class TestTwists:
         gap = gap_of()
         tau = []
         for motion, body, sampler in gap:
-            dq, dv, da = np.zeros((3, *motion.q.shape))
-            dq[:, 0] = place(motion, body)
-            dv[:, 0] = np.gradient(dq[:, 0], motion.t)
-            da[:, 0] = np.gradient(dv[:, 0], motion.t)
-            tau.append(sampler(body.response(dq, dv, da)))
+            dq = place(motion, body)
+            dv = np.gradient(dq, motion.t)
+            da = np.gradient(dv, motion.t)
+            tau.append(sampler(body.response(0, dq, dv, da)))
         tau = np.concatenate(tau)
         left = {}
         for name, columns in transmission_laws(gap, 0):

@@ -57,17 +57,13 @@ class RigidBody:
         """Torque per inertial parameter of one link, shape (N, n, 10)."""
         return self.columns[:, :, 10 * link : 10 * link + 10]
 
-    def response(self, dq: Array, dv: Array, da: Array) -> Array:
-        """Change of rigid torque along a change of motion, shape (N, n), [N·m].
+    def response(self, j: int, dq: Array, dv: Array, da: Array) -> Array:
+        """Change of rigid torque along a change of a joint's motion, (N, n), [N·m].
 
-        It is linear in the changes of position, speed and acceleration, (N, n) each.
+        It is linear in the changes of position, speed and acceleration, (N,) each.
         """
-        changes = np.array([dq.T, dv.T, da.T])
-        total = np.zeros(changes.shape[1:])  # (n, N): time is contiguous
-        for j in np.flatnonzero(changes.any(axis=(0, 2))).tolist():
-            for slope, x in zip(self.slopes(j), changes[:, j], strict=True):
-                total += slope.T * x
-        return total.T
+        by_q, by_v, by_a = self.slopes(j)
+        return (by_q.T * dq + by_v.T * dv + by_a.T * da).T
 
     def slopes(self, j: int) -> tuple[Array, Array, Array]:
         """Partial derivatives of all torques by q, v and a of a joint, (N, n) each.
@@ -106,11 +102,14 @@ class RigidBody:
 
             known = self.load, *self.slopes(j)
             signals = np.stack([x[:, j] for x in known], axis=1)
-            self._cubics = j, CubicSpline(np.arange(len(signals)), signals).c
+            cubics = CubicSpline(np.arange(len(signals)), signals).c.T  # (4, N − 1, 4)
+            last = np.zeros((4, 1, 4))
+            last[:, 0, 3] = signals[-1]
+            self._cubics = j, np.concatenate([cubics, last], axis=1)
         # All instants are at the same parts of a sample: no search is needed.
         powers, cubics = np.vander(np.arange(count) / count, 4), self._cubics[1]
-        inner = np.einsum("pNs,kp->sNk", cubics, powers).reshape(4, -1)
-        return np.column_stack([inner, cubics[:, -1].sum(axis=0)])
+        instants = count * (cubics.shape[1] - 1) + 1
+        return np.asarray((cubics @ powers.T).reshape(4, -1)[:, :instants])
 
     @property
     def gravity(self) -> Array:

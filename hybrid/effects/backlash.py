@@ -51,19 +51,20 @@ class Backlash(Effect):
         """
         half = self.values["half_width"]
         half = half if half > 0 else self.gains[0].typical
-        dq, dv, da = self._play(motion, body, half)
-        return body.response(dq / half, dv / half, da / half)[:, :, None]
+        change = self._play(motion, body, half) / half
+        return body.response(self.joints[0], *change)[:, :, None]
 
     def observe(self, motion: Motion, body: Body) -> Motion:
         """The motion of the link."""
         half = self.values["half_width"]
         if half <= 0:
             return motion
-        dq, dv, da = self._play(motion, body, half)
+        own = np.eye(motion.q.shape[1])[self.joints[0]]
+        dq, dv, da = self._play(motion, body, half)[:, :, None] * own
         return replace(motion, q=motion.q + dq, v=motion.v + dv, a=motion.a + da)
 
-    def _play(self, motion: Motion, body: Body, half: float) -> tuple[Array, ...]:
-        """Position, speed and acceleration of the link less the motor's, (N, n)."""
+    def _play(self, motion: Motion, body: Body, half: float) -> Array:
+        """Position, speed and acceleration of the link less the motor's, (3, N)."""
         (j,) = self.joints
         inertia = body.slopes(j)[2][:, j]
         step = float(np.median(np.diff(motion.t)))
@@ -73,11 +74,8 @@ class Backlash(Effect):
         smooth = gaussian_filter1d(acceleration, _IMPACT_WIDTH / step)
         where = _link_position(smooth, half, step)
         wide = np.pad(where, 1, mode="edge")
-        out = np.zeros((3, *motion.q.shape))
-        out[0, :, j] = where
-        out[1, :, j] = (wide[2:] - wide[:-2]) / (2 * step)
-        out[2, :, j] = (wide[2:] - 2 * where + wide[:-2]) / step**2
-        return tuple(out)
+        speed = (wide[2:] - wide[:-2]) / (2 * step)
+        return np.stack([where, speed, (wide[2:] - 2 * where + wide[:-2]) / step**2])
 
     def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Add a free joint between stops after the motor joint, on the same axis."""

@@ -47,14 +47,16 @@ class Elasticity(Effect):
         See :meth:`Effect.columns`; shape (N, n, 1). At a compliance up to 0 it is the
         first order, of a link that does not oscillate.
         """
-        return body.response(*self._twist(motion, body))[:, :, None]
+        change = self._twist(motion, body)
+        return body.response(self.joints[0], *change)[:, :, None]
 
     def observe(self, motion: Motion, body: Body) -> Motion:
         """The motion of the link, which oscillates on its spring."""
         compliance = self.values["compliance"]
         if compliance <= 0:
             return motion
-        dq, dv, da = (compliance * x for x in self._twist(motion, body))
+        own = compliance * np.eye(motion.q.shape[1])[self.joints[0]]
+        dq, dv, da = self._twist(motion, body)[:, :, None] * own
         return replace(motion, q=motion.q + dq, v=motion.v + dv, a=motion.a + da)
 
     def frequency(self, body: Body) -> float:
@@ -68,19 +70,18 @@ class Elasticity(Effect):
         (j,) = self.joints
         return tuple(slope[:, j] for slope in body.slopes(j))
 
-    def _twist(self, motion: Motion, body: Body) -> tuple[Array, ...]:
-        """Position, speed and acceleration of the deflection per compliance, (N, n).
+    def _twist(self, motion: Motion, body: Body) -> Array:
+        """Position, speed and acceleration of the deflection per compliance, (3, N).
 
         The deflection d follows M d̈ + (C + D) ḋ + (G + K) d = −τ_load. M, C and G are
         the derivatives of the joint's torque by its own a, v and q.
         """
         (j,) = self.joints
         compliance, damping = self.values["compliance"], self.values["damping"]
-        place, load = np.zeros_like(motion.q), body.load[:, j]
         if compliance <= 0:
-            place[:, j] = -load
-            speed = np.gradient(place, motion.t, axis=0)
-            return place, speed, np.gradient(speed, motion.t, axis=0)
+            place = -body.load[:, j]
+            speed = np.gradient(place, motion.t)
+            return np.stack([place, speed, np.gradient(speed, motion.t)])
         h = float(np.median(np.diff(motion.t)))
         # A link without inertia, as some files have it, follows within a sample.
         inertia = max(float(np.mean(self._slopes(body)[2])), h**2 / compliance)
@@ -96,9 +97,7 @@ class Elasticity(Effect):
         speed = np.gradient(d, h / count)
         mass, drag, stiff, load = signals
         acceleration = -(load + drag * speed + stiff * d) / mass
-        out = np.zeros((3, *motion.q.shape))
-        out[:, :, j] = np.stack([d, speed, acceleration])[:, ::count] / compliance
-        return tuple(out)
+        return np.stack([d, speed, acceleration])[:, ::count] / compliance
 
     def edit_spec(self, spec: Spec, names: Sequence[str]) -> None:
         """Add a deflection joint after the motor joint, on the same axis."""

@@ -27,13 +27,12 @@ class EncoderEccentricity(Effect):
 
     def columns(self, motion: Motion, body: Body) -> Array:
         """First order; see :meth:`Effect.columns`; shape (N, n, 2)."""
-        j, columns = list(self.joints), []
+        (j,), columns = self.joints, []
         q, v, a = motion.q[:, j], motion.v[:, j], motion.a[:, j]
         for unit in ({"sine": 1.0, "cosine": 0.0}, {"sine": 0.0, "cosine": 1.0}):
             error, slope, curvature = self.at(unit)._error(q)
-            change = np.zeros((3, *motion.q.shape))
-            change[:, :, j] = -error, -slope * v, -slope * a - curvature * v**2
-            columns.append(body.response(*change))
+            change = -error, -slope * v, -slope * a - curvature * v**2
+            columns.append(body.response(j, *change))
         return np.stack(columns, axis=-1)
 
     def observe(self, motion: Motion, body: Body) -> Motion:

@@ -64,8 +64,8 @@ class Body(Protocol):
     def between(self, j: int, count: int) -> Array:
         """A joint's load and slopes by its own q, v, a, (4, count · (N − 1) + 1)."""
 
-    def response(self, dq: Array, dv: Array, da: Array) -> Array:
-        """Change of rigid torque along a change of motion, shape (N, n), [N·m]."""
+    def response(self, j: int, dq: Array, dv: Array, da: Array) -> Array:
+        """Change of rigid torque along a change of a joint's motion, (N, n), [N·m]."""
 
     @property
     def gravity(self) -> Array:

@@ -197,12 +197,13 @@ def _bounded(normal: Array, right: Array, upper: Array) -> Array:
 
 def _non_negative(normal: Array, right: Array) -> Array:
     """Solve normal equations by non-negative weights, shape (P,)."""
+    from scipy.linalg import solve_triangular
     from scipy.optimize import nnls
 
     size = np.sqrt(np.maximum(np.diagonal(normal), _NONE))
     scaled = normal / size / size[:, None] + _RIDGE * np.eye(len(size))
     root = np.linalg.cholesky(scaled)
-    target = np.linalg.solve(root, right / size)
+    target = solve_triangular(root, right / size, lower=True, check_finite=False)
     try:
         weights = nnls(root.T, target, maxiter=_ITERATIONS * len(size))[0]
     except RuntimeError:  # it did not converge

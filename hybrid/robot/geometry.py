@@ -241,6 +241,8 @@ def _covering(points: Array) -> tuple[Array, float]:
         return float(np.pi * radius**2 * (length + 4 * radius / 3))
 
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    # Triangles share their corners.
+    points = points[np.sort(np.unique(points, axis=0, return_index=True)[1])]
     return min((_capsule_along(points, axis) for axis in axes), key=volume)
 
 

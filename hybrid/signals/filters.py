@@ -17,7 +17,7 @@ Spectrum = NDArray[np.complex128]
 LOWER_BAND = 0.5  # of the cut-off: above it, derivatives of positions are mostly noise
 _ORDER = 5  # of the Butterworth filter in one pass
 _SAMPLES_PER_PERIOD = 3.5  # of the cut-off, that decimation keeps
-_BLOCK = 6  # signals filtered at a time: they fit into the processor's cache
+_BLOCK = 12  # signals filtered at a time: they fit into the processor's cache
 _SHORT = 0.7  # of a signal: a shorter non-zero part is filtered alone
 
 

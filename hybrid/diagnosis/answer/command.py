@@ -232,6 +232,8 @@ def _fitted_effects(
     gap: Gap, i: int, log: ServoLog, kinds: Sequence[type[Effect]]
 ) -> tuple[Effect, ...]:
     """Fit the effects of a joint to all samples."""
+    if not kinds:
+        return ()
     found = fit(log, list(laws()), immediate=_latency() not in kinds)
     effects = []
     for kind in kinds:

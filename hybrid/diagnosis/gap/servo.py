@@ -88,24 +88,24 @@ class ServoLog:
 
     def signals(self, late: float, shift: float) -> Array:
         """All signals at command latency T and torque delay S, [s], shape (M, 9)."""
-        A = np.zeros((len(self.t), SIGNALS))
-        weight, q, v, a = self.own.T
-        A[:, [_FEED, _ERROR, _ASKED]] = self.asked(self.t - late)
-        A[:, _ERROR] -= q
-        A[:, _WEIGHT], A[:, _SPEED], A[:, _GROWTH], A[:, _ONE] = weight, v, a, 1.0
-        A[:, [_TORQUE, SLOPE]] = self._logged(shift) if shift else self._unshifted
-        return A
+        A = np.empty((SIGNALS, len(self.t)))  # time is contiguous
+        A[_WEIGHT], q, A[_SPEED], A[_GROWTH] = self.own.T
+        A[_FEED], A[_ERROR], A[_ASKED] = self.asked(self.t - late).T
+        A[_ERROR] -= q
+        A[_ONE] = 1.0
+        A[_TORQUE], A[SLOPE] = self._logged(shift) if shift else self._unshifted
+        return A.T
 
     def drift(self, late: float) -> Array:
         """Derivative of all signals with respect to T, shape (M, 9)."""
-        A = np.zeros((len(self.t), SIGNALS))
-        A[:, [_FEED, _ERROR, _ASKED]] = -self.asked(self.t - late, 1)
-        return A
+        A = np.zeros((SIGNALS, len(self.t)))
+        A[_FEED], A[_ERROR], A[_ASKED] = -self.asked(self.t - late, 1).T
+        return A.T
 
     def _logged(self, shift: float) -> Array:
-        """Logged torque, shifted by S, and its derivative, shape (M, 2)."""
+        """Logged torque, shifted by S, and its derivative, shape (2, M)."""
         at = self.t + shift
-        return np.stack([self.torque(at), self.torque(at, 1)], axis=1)
+        return np.stack([self.torque(at), self.torque(at, 1)])
 
     @cached_property
     def _unshifted(self) -> Array:
