@@ -1,18 +1,19 @@
 """Pushes by hand on a real arm that moves, whose file lacks friction: are they found?
 
-To a log of a UR10 the torque of a push on the last link is added, by the Jacobian of
-Pinocchio: of random direction and time, 30 to 120 N, 0.3 to 1 s, either half a sine or
-constant with edges of 60 ms. Each is diagnosed against the arm's file. A row appears
-for each push: the largest torque that it adds, whether an event of the answer overlaps
-it, by how much its start and end are off, the part of its mean torque, over all joints,
-that is missed, and other events.
+To a log the torque of a push on the last link is added, by the Jacobian of Pinocchio:
+of random direction and time, 30 to 120 N, 0.3 to 1 s, either half a sine or constant
+with edges of 60 ms. Each is diagnosed, with the other logs, against the arm's file. A
+row appears for each push: the largest torque that it adds, whether an event of the
+answer overlaps it, by how much its start and end are off, the part of its mean torque,
+over all joints, that is missed, and other events.
 
-    python experiments/pushes.py DATA_FOLDER --first 1 --count 12
+    python experiments/pushes.py DATA_FOLDER --arm ur10_salerno --first 1 --count 12
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,7 +28,6 @@ from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, provenance, write_results
 
-FOLDER = "ur10_salerno"
 FORCES, LASTS = (30.0, 120.0), (0.3, 1.0)  # N, s
 EDGE = 0.06  # s, of a push that is constant
 APART = 0.5  # s from both ends of the log
@@ -52,11 +52,11 @@ class Push:
     shape: str
 
     @classmethod
-    def drawn(cls, seed: int, duration: float) -> Push:
-        """A random push in a log of some duration, [s]."""
+    def drawn(cls, seed: int, duration: float, factor: float = 1.0) -> Push:
+        """A random push in a log of some duration, [s]; of forces times a factor."""
         rng = np.random.default_rng([seed, 80])
         way = rng.standard_normal(3)
-        size = np.exp(rng.uniform(*np.log(FORCES)))
+        size = factor * np.exp(rng.uniform(*np.log(FORCES)))
         lasts = rng.uniform(*LASTS)
         start = rng.uniform(APART, duration - APART - lasts)
         shape = ("half a sine", "constant")[seed % 2]
@@ -89,10 +89,13 @@ def pushed(log: Recording, file: Path, push: Push) -> tuple[Recording, Array]:
     return replace(log, tau=log.tau + more), more
 
 
-def outcome(robot: Robot, log: Recording, file: Path, push: Push) -> tuple[object, ...]:
-    """Diagnose a log with a push: the columns of a row from its torque on."""
+def outcome(
+    robot: Robot, logs: Sequence[Recording], file: Path, push: Push
+) -> tuple[object, ...]:
+    """Diagnose logs, a push in the first: the columns of a row from its torque on."""
+    log, *rest = logs
     told, more = pushed(log, file, push)
-    events = diagnose.examine(robot, [told]).diagnosis.events
+    events = diagnose.examine(robot, [told, *rest]).diagnosis.events
     zero, end = log.t[0] + push.start, log.t[0] + push.start + push.lasts
     here = [e for e in events if e.start < end and e.end > zero]
     size = float(np.abs(more).max())
@@ -110,24 +113,27 @@ def main() -> None:
     """Diagnose all pushes, and write the report."""
     parser = command_line(__doc__, "pushes")
     parser.add_argument("data", type=Path, help="folder with a folder for each arm")
+    parser.add_argument("--arm", default="ur10_salerno", help="one of these folders")
+    parser.add_argument("--factor", type=float, default=1.0, help="of the forces")
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--count", type=int, default=12, help="number of pushes")
     args = parser.parse_args()
     warnings.simplefilter("ignore", HybridWarning)  # columns of the log not needed
-    file = args.data / FOLDER / "robot.urdf"
+    file = args.data / args.arm / "robot.urdf"
     robot = Robot.load(file)
-    (log,) = read_recordings([args.data / FOLDER], joints=robot.joints)
+    logs = read_recordings([args.data / args.arm], joints=robot.joints)
+    duration = float(np.ptp(logs[0].t))
     rows = []
     for seed in range(args.first, args.first + args.count):
-        push = Push.drawn(seed, float(np.ptp(log.t)))
-        size, found, *rest = outcome(robot, log, file, push)
+        push = Push.drawn(seed, duration, args.factor)
+        size, found, *rest = outcome(robot, logs, file, push)
         force = float(np.linalg.norm(push.force))
         rows.append((seed, push.shape, force, push.start, push.lasts, size, found,
                      *rest))  # fmt: skip
         print(rows[-1], flush=True)
     command = (
-        "python experiments/pushes.py DATA_FOLDER "
-        f"--first {args.first} --count {args.count}"
+        f"python experiments/pushes.py DATA_FOLDER --arm {args.arm} "
+        f"--factor {args.factor:g} --first {args.first} --count {args.count}"
     )
     lines = [
         (
