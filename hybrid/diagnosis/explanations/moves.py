@@ -110,9 +110,12 @@ class Moves(Proposals):
         return bool(alone > now)
 
     def _with_shapes_refitted(self, causes: list[Cause], new: Cause) -> list[Cause]:
-        """Some causes and a new one, to which the shapes of its neighbours adapt."""
+        """Some causes and a new one, to which the shapes of its neighbours adapt.
+
+        An event acts at all joints: its time does not depend on laws at one of them.
+        """
         found = [*causes, new]
-        for c in causes:
+        for c in (x for x in causes if not x.is_event):
             near = {*c.place[1]} & {*new.place[1]} and c not in self._certain
             if near and c.candidate is not None and c.candidate.effect.shapes:
                 rest = [x for x in found if x is not c]
