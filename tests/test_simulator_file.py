@@ -379,6 +379,18 @@ def test_an_mjcf_becomes_a_urdf_with_its_tree_and_shapes(own, tmp_path):
     }
 
 
+def test_a_joint_without_limits_is_not_held_by_limits_of_zero(own, tmp_path):
+    build_simulator(own, kind="urdf").write(tmp_path / "arm.urdf")
+    limits = ElementTree.parse(tmp_path / "arm.urdf").getroot().findall(".//limit")
+    assert limits and all(
+        float(x.get(name)) > 0 for x in limits for name in ("effort", "velocity")
+    )
+    again, _ = quiet(Robot.load, tmp_path / "arm.urdf", joints=own.joints)
+    for name in ("v_max", "a_max", "tau_max"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(own, name))
+    assert np.isinf(own.v_max).all()
+
+
 def test_boxes_keep_their_size_and_what_mujoco_hides_is_not_seen(tmp_path):
     text = (MODELS / "planar.xml").read_text()
     for name, group in (("upper_link_1", 2), ("upper_link_2", 3)):
