@@ -9,8 +9,8 @@ from arms import MODELS
 
 import hybrid
 from hybrid.cli import main
-from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.answer.words import verdict_lines
+from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.scale import settled
 from hybrid.effects import effect_class
 from hybrid.errors import IdentificationError, RobotError
