@@ -125,6 +125,9 @@ def test_values_have_intervals_of_two_deviations_within_the_bounds_of_shapes():
     for std, known in ((0.9 * prior, True), (1.1 * prior, False)):
         (level, _) = fitted_values(gap, law.at({}, {"level": std, "distance": 0.01}))
         assert level.determined == known
+    # A gain far from zero is known, however small its prior was.
+    far = law.at({"level": 10 * prior}, {"level": 2 * prior, "distance": 0.01})
+    assert fitted_values(gap, far)[0].determined
     low, high = bounds.lower, bounds.upper
     wide = law.at({"distance": np.sqrt(low * high)}, {"distance": 1e3 * high})
     assert not fitted_values(gap, wide)[1].determined

@@ -1,12 +1,15 @@
 """The exported header as a controller sees it: limits, clamp, status, compilers."""
 
+import re
 import shutil
 import subprocess
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from arms import LIFT, MODELS, public_arm
+from pendulum import pendulum
 from test_export import full_model, model_of
 
 from hybrid.effects import Scale
@@ -222,3 +225,17 @@ def test_a_number_that_is_none_is_not_written():
         with pytest.raises(HybridError, match="valid are finite ones"):
             c_number(x, "P")
     assert c_number(-np.inf, "P", finite=False) == "P_R(-INFINITY)"
+
+
+@pytest.mark.parametrize("rated", [30.0, 3.0])
+def test_torques_that_the_logs_had_and_the_header_clamps_are_told(rated, tmp_path):
+    robot = replace(pendulum(2), tau_max=np.array([1e3, rated]))
+    seen = {"q_min": np.full(2, -1.5), "q_max": np.full(2, 1.5), "v_max": np.ones(2)}
+    model = model_of(robot, range=seen)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        export(model, tmp_path, format="c")
+    assert len(told) == (rated < 10)
+    if told:
+        assert re.search(r"beyond them .*: hinge_1 [\d.]+ of 3 N·m;", str(told[0]))
+        assert "hinge_0" not in str(told[0])

@@ -279,6 +279,14 @@ def test_half_a_turn_beyond_a_limit_is_another_unit(over, unit):
     assert ("is outside the limits" in text) != unit
 
 
+@pytest.mark.parametrize("way", [-1, 1])
+def test_a_joint_a_whole_turn_off_is_not_only_said_to_be_in_degrees(way):
+    q = np.stack([np.linspace(-1.0, 1.5, 200), np.linspace(-1.0, 1.0, 200)], axis=1)
+    (text,) = placed(q + [0.0, way * 2 * np.pi])
+    assert "looks like degrees, or radians a whole turn off" in text
+    assert "turn" not in placed(np.rad2deg(q))[0]
+
+
 @pytest.mark.parametrize(("turns", "told"), [(1.99, False), (2.01, True)])
 def test_a_joint_without_limits_makes_two_turns(turns, told):
     q = np.linspace(0.0, turns * 2 * np.pi, 200)

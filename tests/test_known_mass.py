@@ -9,6 +9,7 @@ from arms import MODELS
 
 import hybrid
 from hybrid.cli import main
+from hybrid.diagnosis.answer.words import verdict_lines
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.scale import settled
 from hybrid.effects import effect_class
@@ -137,8 +138,13 @@ def test_a_scale_beside_another_gap_may_be_that_of_no_drive(result):
         replace(diagnosis, verdict="partly_explained"),
         replace(diagnosis, findings=(payload, more)),
     ):
-        (text,) = settled(other, result.effects, known).doubts
-        assert "gains may differ from drive to drive" in text
+        other = replace(other, doubts=("one", "two", "three"))
+        found = settled(other, result.effects, known)
+        assert "gains may differ from drive to drive" in found.doubts[0]
+        # What must not be used is not said to be known.
+        assert found.torque_scale is not None and not found.torque_scale.determined
+        said = "\n".join(verdict_lines(found))
+        assert "not determined" in said and "gains may differ" in said
 
 
 @pytest.mark.parametrize("mass", [0.0, -1.0, np.nan, np.inf])

@@ -136,6 +136,14 @@ def test_intervals_widen_with_what_happens_in_few_blocks():
     assert width(located(rare)) > 1.5 * width(steady)
 
 
+def test_a_gap_in_a_single_block_has_an_interval():
+    gap = gap_with(lambda m: on_first(0.5 * np.sign(m.v[:, 0])))
+    moving = gap.moving.copy()
+    moving[200:] = False
+    found = locate(replace(gap, moving=moving), floor(), np.random.default_rng(0))
+    assert found and np.isfinite([r.interval for r in found]).all()
+
+
 def test_time_since_a_reversal_starts_anew_when_speed_changes_sign():
     gap = still_gap()
     since, v = time_since_reversal(gap, 0), gap.sampled.v[:, 0]

@@ -22,6 +22,7 @@ from hybrid.effects.command_latency import CommandLatency
 from hybrid.effects.controller_gain import ControllerGain
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.elasticity import Elasticity
+from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.payload import LinkInertia
 from hybrid.effects.saturation import Saturation
@@ -378,6 +379,18 @@ def test_an_mjcf_becomes_a_urdf_with_its_tree_and_shapes(own, tmp_path):
     }
 
 
+def test_a_joint_without_limits_is_not_held_by_limits_of_zero(own, tmp_path):
+    build_simulator(own, kind="urdf").write(tmp_path / "arm.urdf")
+    limits = ElementTree.parse(tmp_path / "arm.urdf").getroot().findall(".//limit")
+    assert limits and all(
+        float(x.get(name)) > 0 for x in limits for name in ("effort", "velocity")
+    )
+    again, _ = quiet(Robot.load, tmp_path / "arm.urdf", joints=own.joints)
+    for name in ("v_max", "a_max", "tau_max"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(own, name))
+    assert np.isinf(own.v_max).all()
+
+
 def test_boxes_keep_their_size_and_what_mujoco_hides_is_not_seen(tmp_path):
     text = (MODELS / "planar.xml").read_text()
     for name, group in (("upper_link_1", 2), ("upper_link_2", 3)):
@@ -639,6 +652,34 @@ def test_friction_whose_slope_falls_and_rises_is_approximated(share):
     assert plain.missed > 3 * found.missed
     v = np.linspace(-2 * fastest, 2 * fastest, 401)
     assert (curve(found.values, v) * v >= -1e-9).all()
+
+
+def test_friction_of_slow_logs_does_not_run_away_up_to_the_speed_limit(tmp_path):
+    robot = Robot.load(MODELS / "planar.xml")
+    limit = robot.v_max[1]
+    slow = [replace(m, v=0.3 * m.v) for m in motions(robot, count=1)]
+    seen = np.abs(slow[0].v[:, 1]).max()
+    rises = ThresholdFriction(
+        (1,), {"coulomb_positive": 1.0, "coulomb_negative": 1.0, "rising": 1.5,
+               "viscous": 1.0, "threshold": 0.1 * seen, "width": 0.01 * seen,
+               "fastest": seen},
+    )  # fmt: skip
+    load = LoadFriction((1,), {"coefficient": 0.2})
+    made = build_simulator(robot, [rises, load], motions=slow, folder=tmp_path)
+    made.write(tmp_path / "arm.xml")
+    m = slow[0]
+    still = replace(m, v=0 * m.v, a=0 * m.a)
+    fast = replace(still, v=np.tile([0.0, limit], (len(m.t), 1)))
+    with_friction, without = (
+        file_inverse_dynamics(tmp_path / "arm.xml", robot.joints, x, {})[:, 1]
+        for x in (fast, replace(fast, v=-fast.v))
+    )
+    file = np.mean(with_friction - without) / 2
+    law = sum(
+        e.torque(fast, RigidBody(robot.chain, still))[:, 0].mean()
+        for e in (rises, load)
+    )
+    assert file == pytest.approx(law + robot.damping[1] * limit, rel=0.3)
 
 
 def test_ripple_is_cogging_of_a_motor_that_nothing_commands(tmp_path):

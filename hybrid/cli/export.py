@@ -22,7 +22,7 @@ from hybrid.signals import Motion
 HELP = """\
 c            one C99 header with an example and CMakeLists.txt; torque from q, v and a,
              limited to the rated one, with a status (see the header's own comments)
-onnx         the same with a free batch axis, in double precision
+onnx         the same with a free batch axis, in double precision, without the limit
 torchscript  the same for libtorch; read it with torch.jit.load, never torch.load
 mjcf         the arm's own file with identified links, rotors and friction, and a .diff;
              --robot is the file; without one, links, joints and motors

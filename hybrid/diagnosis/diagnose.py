@@ -11,7 +11,7 @@ import numpy as np
 from hybrid.arguments import typed
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.command import command_link
-from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict, listed
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import findings
 from hybrid.diagnosis.answer.links import delay_finding, merged_links
@@ -45,10 +45,7 @@ from hybrid.robot import Robot
 from hybrid.signals import Motion
 from hybrid.threads import one_thread
 
-_UNTESTED = (
-    "{} acts only on the training samples: its shrinkage is measured on them, and not "
-    "on held-out motion"
-)
+_UNTESTED = "no held-out motion shows {}: shrinkage is measured on the training samples"
 _FILE_ERRORS = (
     "masses and inertias of the file are off by about {:.0%}, a gap by themselves: "
     "smaller errors of single links cannot be found"
@@ -238,7 +235,8 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     certain = [c for c, kind, name in each if kind or name != c.place[0]]
     shown, left = unseen(search, found, certain), left_unseen(scored, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
-    doubts += [_UNTESTED.format(f.effect) for f in causes if _is_untested(f, scored)]
+    untested = [f.effect for f in causes if _is_untested(f, scored)]
+    doubts += [_UNTESTED.format(listed(untested))] if untested else []
     error, typical = search.file_error, search.prior.file_errors[1]
     if error > typical:
         doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)

@@ -109,14 +109,15 @@ def settled(
     scale = float(weights @ [x for x, _ in each] / weights.sum())
     std = float(weights.sum() ** -0.5)
     half = HALF_WIDTH * std
-    said = Value("arm", "torque scale", scale, "", (scale - half, scale + half))
     found = [_in_true_units(f, scale, std / scale, known) for f in diagnosis.findings]
     alone = diagnosis.verdict == "explained" and len(found) == len(known)
+    interval = scale - half, scale + half
+    said = Value("arm", "torque scale", scale, "", interval, determined=alone)
     return replace(
         diagnosis,
         findings=tuple(found),
         torque_scale=said,
-        doubts=diagnosis.doubts if alone else (*diagnosis.doubts, _NOT_ONE),
+        doubts=diagnosis.doubts if alone else (_NOT_ONE, *diagnosis.doubts),
     )
 
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from hybrid import __version__
 from hybrid.dynamics import Law
-from hybrid.errors import HybridError
+from hybrid.errors import HybridError, warn
+from hybrid.exports.simulator.model import usual_motion
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.model.program import Program
 from hybrid.names import c_comment, c_identifier
@@ -45,6 +46,7 @@ LIMITS = ("q_min", "q_max", "v_max", "tau_max")
 def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) -> None:
     """Write ``<arm>.h``, ``example.c`` and ``CMakeLists.txt``."""
     robot = model.robot
+    _warn_of_clamps(model, program)
     p = c_identifier(robot.name)
     rng = np.random.default_rng(0)
     low = np.where(np.isfinite(robot.q_min), robot.q_min, -1.0)
@@ -69,6 +71,27 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
     for name, values in content.items():
         text = render_template(TEMPLATES / f"{name}.j2", **marks, **values)
         (folder / name.replace("arm", p)).write_text(text, encoding="utf-8")
+
+
+def _warn_of_clamps(model: DynamicModel, program: Program) -> None:
+    """Warn where slow motion of the logs' range is beyond the rating of the file."""
+    motion = usual_motion(model)
+    tau, _ = program.run(motion.q, motion.v, np.zeros_like(motion.a))
+    peak = np.abs(tau).max(axis=0)
+    over = [
+        f"{joint} {x:.4g} of {most:.4g} {unit}"
+        for joint, x, most, unit in zip(
+            model.robot.joints, peak, model.robot.tau_max,
+            model.robot.chain.units("N·m"), strict=True,
+        )
+        if x > most
+    ]  # fmt: skip
+    if over and model.range:
+        warn(
+            f"torque is clamped to the limits of the robot file, and goes beyond them "
+            f"at positions and speeds of the logs: {', '.join(over)}; valid are the "
+            "limits of the drives, in the file or in clamp"
+        )
 
 
 def _header(program: Program, robot: Robot, digest: str) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """Compare positions with joint limits: wrong unit, wrong order, or outside.
 
-A unit is wrong if a position is half a turn beyond its limit, or beyond two turns. An
-order is wrong if positions fit the limits of other joints but not their own.
+A unit is wrong if a position is half a turn beyond its limit, or beyond two turns; a
+joint may also count a whole turn off. An order is wrong if positions fit the limits of
+other joints but not their own.
 """
 
 from collections.abc import Iterator
@@ -69,9 +70,13 @@ def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
             continue
         joint = int(np.argmax(np.where(suspect, peak, 0.0)))
         row = int(np.argmax(np.abs(recording.q[:, joint])))
-        names = [name for x, name in smaller if _fits(recording.q * x, robot, kind)]
+        names = [x for k, x in smaller if _fits(recording.q * k, robot, kind)][:1]
+        turned = recording.q - 2 * np.pi * suspect * np.sign(recording.q[row])
+        if unit == "rad" and _fits(turned, robot, kind):
+            names.append("radians a whole turn off")
         text = f"{recording.place('q', joint, row)}: {recording.q[row, joint]:.6g} "
-        text += f"looks like {names[0]}" if names else "is far outside the limits"
+        looks = f"looks like {', or '.join(names)}"
+        text += looks if names else "is far outside the limits"
         low, high = robot.q_min[joint], robot.q_max[joint]
         remedy = f"valid are {unit} within {low:.6g} to {high:.6g}"
         # A joint without limits may have made many turns.

@@ -210,4 +210,7 @@ def joint_mismatch(found: tuple[str, ...], joints: tuple[str, ...]) -> str:
 
 
 def _not_finite(value: float) -> str:
-    return f"value {value} is not a finite number (an empty cell reads as nan)"
+    return (
+        f"value {value} is not a finite number (an empty cell reads as nan); leave out "
+        "such rows: a log with gaps counts as several"
+    )

@@ -27,6 +27,7 @@ _KINDS = {
     "floating": "is free", "planar": "is planar",
 }  # fmt: skip
 SPRING = "springStiffness", "springReference"  # Gazebo's tags
+UNLIMITED = 1e16  # of a limit that is none, as SDFormat reads it; some take 0 as it is
 _GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s²
 
 
@@ -269,4 +270,4 @@ def range_of(lower: Array, upper: Array, endless: Sequence[bool]) -> dict[str, A
 
 def limit(values: Array) -> Array:
     """Upper limits; 0, which means "none" in many files, becomes infinity."""
-    return np.where((values > 0) & (values < 1e300), values, np.inf)
+    return np.where((values > 0) & (values < UNLIMITED), values, np.inf)

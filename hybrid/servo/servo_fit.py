@@ -21,7 +21,7 @@ _MOST_LEFT = 3  # joints in a sentence
 
 @dataclass(frozen=True)
 class ServoFinding:
-    """One parameter of the file that is wrong.
+    """One parameter to which the logs give another value than the file.
 
     Attributes:
         effect: Effect of the library.
@@ -81,7 +81,8 @@ class ServoFit(Shown):
         plain_drive: Servos of the plain fit.
         std: Standard deviations, relative for positive quantities, else in their unit;
             shape (len(QUANTITIES), n).
-        findings: Wrong parameters of the file, the most important first.
+        findings: Parameters with other values than in the file, the most important
+            first; the file is wrong where its value is outside the interval.
         before: RMS replay error on held-out motion with the file, shape (n,), [rad].
         plain: The same with the plain fit of stiffness, damping, friction, rotor,
             offset and delay.
@@ -122,7 +123,10 @@ class ServoFit(Shown):
         before, after = (
             1000 * float(x[moving].mean()) for x in (self.before, self.after)
         )
-        each = ((x.quantity.replace("_", " "), x.joint) for x in self.findings)
+        wrong = [
+            x for x in self.findings if not x.interval[0] <= x.file <= x.interval[1]
+        ]
+        each = ((x.quantity.replace("_", " "), x.joint) for x in wrong)
         names = [f"{quantity} at {joint}" for quantity, joint in dict.fromkeys(each)]
         shown = ", ".join(names[:4]) + (
             f" and {len(names) - 4} more" if len(names) > 4 else ""

@@ -55,7 +55,7 @@ class Value:
         value: Estimate.
         unit: SI unit.
         interval: 95 % interval; both ends are equal without a standard deviation.
-        determined: Whether the recordings narrow the prior.
+        determined: Whether the recordings narrow the prior, or tell a gain from zero.
     """
 
     joint: str

@@ -166,7 +166,9 @@ def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
             continue
         value, std = effect.values[x.name], effect.std.get(x.name, 0.0)
         low, high = value - HALF_WIDTH * std, value + HALF_WIDTH * std
-        determined = k >= len(prior) or bool(std < prior[k])
+        # A search may widen the prior: what is told from zero is determined, too.
+        told = abs(value) > HALF_WIDTH * std
+        determined = k >= len(prior) or bool(std < prior[k]) or told
         if std > 0 and x in effect.shapes:
             bounds = x.scaled(scale)
             low, high = max(low, bounds.lower), min(high, bounds.upper)

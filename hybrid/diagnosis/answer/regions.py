@@ -88,6 +88,7 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
     if not test.exceeds(squares.sum(), visits):
         return ()
     drawn = test.draws @ squares
+    some = drawn > 0  # no share of blocks in which the arm stands
     found = []
     for x in histograms:
         best = _densest(x, test)
@@ -95,7 +96,8 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
             continue
         inside = x.excess[:, best].sum(axis=1)
         share = float(inside.sum() / squares.sum())
-        low, high = np.quantile((test.draws @ inside) / drawn, [0.025, 0.975])
+        shares = (test.draws @ inside)[some] / drawn[some]
+        low, high = np.quantile(shares, [0.025, 0.975])
         lead = share - float(x.samples[:, best].sum() / visits)
         region = Region(
             gap.robot.joints[x.joint], x.variable,

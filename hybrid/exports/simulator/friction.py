@@ -5,11 +5,13 @@ the samples of motions with equal weights, with a level for each direction if a 
 may have a preload. The fit is a sum of dissipative terms with gains of zero or more;
 the terms v(1 − |v|/w)² for several w let it curve downwards. If a joint may have it,
 knee·clip(v/w) replaces dry friction and fall·exp(−(v/u)²)·sgn v is added, with the w
-and u of the least residual.
+and u of the least residual. A polynomial runs away beyond its samples. Therefore the
+same motions, run up to the highest speed of the joint, count a little, with relative
+residuals.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -27,6 +29,7 @@ from hybrid.signals import Motion
 _CURVES = np.geomspace(0.25, 4.0, 9)  # w, of the highest speed
 _KNEES = np.geomspace(0.01, 1.0, 13)  # w, of the highest speed
 _FALLS = np.geomspace(0.003, 1.0, 25)  # u, of the highest speed
+_BEYOND = 0.05  # weight of a sample of the faster motions
 _LEAST = 0.005  # of the friction's RMS; a knee or a fall must explain more
 _ROUNDS = 2  # of the search for a fall and a knee in turn
 _SPEEDS = "knee_speed", "fall_speed"
@@ -76,6 +79,7 @@ def approximate_friction(
     exact: Mapping[str, float],
     moved: Sequence[tuple[Motion, RigidBody]],
     fields: Collection[str],
+    highest: float = 0.0,
 ) -> FittedFriction:
     """Approximate the friction of a joint.
 
@@ -85,34 +89,58 @@ def approximate_friction(
             ``knee_speed`` without a knee is a further speed to try.
         moved: Motions, and the rigid body along each.
         fields: Fields of a joint in the simulator.
+        highest: Speed up to which the approximation shall hold, [rad/s].
     """
     (j,) = {j for effect in effects for j in effect.joints}
-    v = np.concatenate([m.v[m.mask, j] for m, _ in moved])
-    laws = [
-        sum((e.torque(m, body)[m.mask, 0] for e in effects), np.zeros(m.mask.sum()))
-        for m, body in moved
-    ]
     preload = exact.get("preload", 0.0)  # of a spring, not of friction
-    torque = np.concatenate(laws) + curve(exact, v) - preload
-    values = _fit(torque, v, fields, exact.get("knee_speed", 0.0))
-    missed = torque - curve(values, v)
-    rms = [float(np.sqrt(np.mean(x**2))) for x in (missed, torque)]
+
+    def samples(faster: float = 1.0) -> tuple[Array, Array]:
+        """Friction and speed of the joint on the motions, run faster by a factor."""
+        runs = [(replace(m, v=faster * m.v), body) for m, body in moved]
+        v = np.concatenate([m.v[m.mask, j] for m, _ in runs])
+        laws = [
+            sum((e.torque(m, body)[m.mask, 0] for e in effects), np.zeros(m.mask.sum()))
+            for m, body in runs
+        ]
+        return np.concatenate(laws) + curve(exact, v) - preload, v
+
+    torque, v = samples()
+    fastest = float(np.abs(v).max())
+    rms = float(np.sqrt(np.mean(torque**2)))
+    faster, speeds = samples(highest / fastest if fastest else 0.0)
+    weight = rms / np.maximum(np.abs(faster), rms or 1.0)
+    weight *= _BEYOND if highest > fastest else 0.0
+    values = _fit(
+        np.r_[torque, faster],
+        np.r_[v, speeds],
+        np.r_[np.ones_like(v), weight],
+        fields,
+        exact.get("knee_speed", 0.0),
+        fastest,
+    )
+    missed = float(np.sqrt(np.mean((torque - curve(values, v)) ** 2)))
     if "preload" in values:
         values["preload"] += preload
-    return FittedFriction(j, tuple(effects), values, *rms)
+    return FittedFriction(j, tuple(effects), values, missed, rms)
 
 
 def _fit(
-    torque: Array, v: Array, fields: Collection[str], known: float
+    torque: Array,
+    v: Array,
+    weight: Array,
+    fields: Collection[str],
+    known: float,
+    fastest: float,
 ) -> dict[str, float]:
     """Values of fields with the least residual.
 
     The best knee and fall are searched in turn, once from no knee and once from the
     best knee.
     """
-    always, knees, falls = _parts(float(np.abs(v).max()), fields, known)
+    always, knees, falls = _parts(fastest, fields, known)
     parts = [*always, *chain(*knees), *chain(*falls)]
-    A = np.stack([curve(x, v) for x in parts], axis=1)  # (N, parts)
+    A = np.stack([weight * curve(x, v) for x in parts], axis=1)  # (N, parts)
+    torque = weight * torque
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
     R = np.linalg.qr(np.c_[A / size, torque], mode="reduced").R

@@ -30,6 +30,7 @@ from hybrid.plant.joint_fields import (
     split_effects,
     with_curves,
 )
+from hybrid.plant.reference import limits
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator, Edit
 from hybrid.signals import Motion
@@ -145,6 +146,7 @@ def _fitted_friction(
         return ()
     motions = motions or (typical_motion(robot),)
     moved = [(motion, RigidBody(robot.chain, motion)) for motion in motions]
+    highest = limits(robot)[2]
     return tuple(
         approximate_friction(
             [effect for effect in friction if effect.joints == (j,)],
@@ -152,6 +154,7 @@ def _fitted_friction(
             | {"knee_speed": float(robot.knee_speed[j])},
             moved,
             _CURVE[kind],
+            float(highest[j]),
         )
         for j in sorted({effect.joints[0] for effect in friction})
     )

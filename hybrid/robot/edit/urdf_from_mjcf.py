@@ -16,7 +16,7 @@ from hybrid.robot.mjcf import joint_names, matrix, mujoco_tree
 from hybrid.robot.mujoco_model import compile_spec, spec_from_file
 from hybrid.robot.robot import Robot
 from hybrid.robot.tree import Node
-from hybrid.robot.urdf import roll_pitch_yaw
+from hybrid.robot.urdf import UNLIMITED, roll_pitch_yaw
 
 _FIRST_HIDDEN = 3  # lowest group of geoms that MuJoCo does not show
 _FORMATS = (".stl", ".obj", ".dae")
@@ -119,7 +119,7 @@ class _Writer:
         joint = joint_names(model).index(name)
         limited, dof = bool(model.jnt_limited[joint]), model.jnt_dofadr[joint]
         turns = "revolute" if limited else "continuous"
-        limits = {"effort": 0.0, "velocity": 0.0}
+        limits = {"effort": UNLIMITED, "velocity": UNLIMITED}
         if name in robot.joints:
             j = robot.joints.index(name)
             declared = {
