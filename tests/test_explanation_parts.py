@@ -209,7 +209,8 @@ def test_a_cause_is_exchanged_for_one_of_the_two_best():
 @pytest.mark.parametrize(("worth", "taken"), [(-1.0, True), (-3.0, False)])
 def test_shapes_beside_an_exchanged_cause_adapt_to_it(worth, taken):
     """A proposal within the odds of a cause may still be better than it looks."""
-    shaped = SimpleNamespace(effect=SimpleNamespace(shapes=(1,)), place=("s", (0,)))
+    law = SimpleNamespace(shapes=(1,), repeats="")
+    shaped = SimpleNamespace(effect=law, place=("s", (0,)))
     near = replace(cause("s"), candidate=shaped)
     better = replace(near, place=("t", (0,)))
     scores = {"s": 0.0, "as": 5.0, "bs": worth, "bt": 9.0, "b": 0.0, "t": 0.0}

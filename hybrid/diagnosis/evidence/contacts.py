@@ -20,7 +20,7 @@ _LONGEST = 1 / 3  # of a recording
 _SPREAD = 2.0  # times the typical gain, prior standard deviation of the scan
 _OF_ALL = -1  # number that stands for all recordings
 _CONSTANT = 0.5  # of the torque, that a constant one leaves of one that rises and falls
-_RISE = 0.5  # of a contact's duration, before it is fitted
+_RISES = 0.0, 0.5  # of a contact's duration, before it is fitted
 _WORTH = 14.0  # nat, odds against one of some thousand stretches
 
 
@@ -114,11 +114,13 @@ class Contacts:
     ) -> list[Effect]:
         """Contacts that explain most of a residual, which do not meet.
 
+        Each is given twice: of a constant force, and of one that rises and falls.
+
         Args:
             left: Residual of each joint, shape (R_i,), [N·m].
             rows: Samples of the gap of each residual, shape (R_i,).
             noise: Noise variance of each joint, shape (n,), [N²·m²].
-            count: Largest number of contacts.
+            count: Largest number of stretches.
         """
         p = len(self._std)
         shapes = (p, p), (p,), (), ()
@@ -141,16 +143,16 @@ class Contacts:
         for stretch in sorted(stretches, reverse=True):
             if not any(stretch.meets(x) for x in found):
                 found.append(stretch)
-        return [self._contact(s) for s in found[:count]]
+        return [self._contact(s, rise) for s in found[:count] for rise in _RISES]
 
-    def _contact(self, stretch: _Stretch) -> Effect:
-        """A contact that is half as strong at both ends of a stretch."""
-        duration = _CHUNK * stretch.length / (1.0 - _RISE / 2)
+    def _contact(self, stretch: _Stretch, rise: float) -> Effect:
+        """A contact that is more than half as strong as at most during a stretch."""
+        duration = _CHUNK * stretch.length / (1.0 - rise / 2)
         middle = self._first + _CHUNK * (stretch.first + stretch.length / 2)
         times = {
             "start": max(middle - duration / 2, 0.0),
             "duration": duration,
-            "rise": _RISE,
+            "rise": rise,
             "recording": float(stretch.recording),
         }
         return self._law(self._joints, times)
