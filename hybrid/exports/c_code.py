@@ -75,20 +75,16 @@ def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) ->
 
 def _warn_of_clamps(model: DynamicModel, program: Program) -> None:
     """Warn where slow motion of the logs' range is beyond the rating of the file."""
-    motion = usual_motion(model)
+    motion, robot = usual_motion(model), model.robot
     tau, _ = program.run(motion.q, motion.v, np.zeros_like(motion.a))
-    peak = np.abs(tau).max(axis=0)
+    peak, unit = np.abs(tau).max(axis=0), robot.chain.units("N·m")
     over = [
-        f"{joint} {x:.4g} of {most:.4g} {unit}"
-        for joint, x, most, unit in zip(
-            model.robot.joints, peak, model.robot.tau_max,
-            model.robot.chain.units("N·m"), strict=True,
-        )
-        if x > most
-    ]  # fmt: skip
+        f"{robot.joints[j]} {peak[j]:.4g} of {robot.tau_max[j]:.4g} {unit[j]}"
+        for j in np.flatnonzero(peak > robot.tau_max).tolist()
+    ]
     if over and model.range:
         warn(
-            f"torque is clamped to the limits of the robot file, and goes beyond them "
+            "torque is clamped to the limits of the robot file, and goes beyond them "
             f"at positions and speeds of the logs: {', '.join(over)}; valid are the "
             "limits of the drives, in the file or in clamp"
         )

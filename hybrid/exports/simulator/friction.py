@@ -29,7 +29,7 @@ from hybrid.signals import Motion
 _CURVES = np.geomspace(0.25, 4.0, 9)  # w, of the highest speed
 _KNEES = np.geomspace(0.01, 1.0, 13)  # w, of the highest speed
 _FALLS = np.geomspace(0.003, 1.0, 25)  # u, of the highest speed
-_BEYOND = 0.05  # weight of a sample of the faster motions
+_BEYOND, _EVERY = 0.16, 10  # weight of every tenth sample of the faster motions
 _LEAST = 0.005  # of the friction's RMS; a knee or a fall must explain more
 _ROUNDS = 2  # of the search for a fall and a knee in turn
 _SPEEDS = "knee_speed", "fall_speed"
@@ -107,16 +107,17 @@ def approximate_friction(
     torque, v = samples()
     fastest = float(np.abs(v).max())
     rms = float(np.sqrt(np.mean(torque**2)))
-    faster, speeds = samples(highest / fastest if fastest else 0.0)
+    ratio = highest / fastest if fastest else 0.0
+    faster, speeds = (x[::_EVERY] for x in samples(ratio))
     weight = rms / np.maximum(np.abs(faster), rms or 1.0)
-    weight *= _BEYOND if highest > fastest else 0.0
+    weight *= _BEYOND if ratio > 1 else 0.0
     values = _fit(
         np.r_[torque, faster],
         np.r_[v, speeds],
-        np.r_[np.ones_like(v), weight],
         fields,
         exact.get("knee_speed", 0.0),
-        fastest,
+        weight=np.r_[np.ones_like(v), weight],
+        fastest=fastest,
     )
     missed = float(np.sqrt(np.mean((torque - curve(values, v)) ** 2)))
     if "preload" in values:
@@ -127,20 +128,21 @@ def approximate_friction(
 def _fit(
     torque: Array,
     v: Array,
-    weight: Array,
     fields: Collection[str],
     known: float,
-    fastest: float,
+    *,
+    weight: Array | float = 1.0,
+    fastest: float = 0.0,
 ) -> dict[str, float]:
-    """Values of fields with the least residual.
+    """Values of fields with the least weighted residual.
 
     The best knee and fall are searched in turn, once from no knee and once from the
     best knee.
     """
-    always, knees, falls = _parts(fastest, fields, known)
+    always, knees, falls = _parts(fastest or float(np.abs(v).max()), fields, known)
     parts = [*always, *chain(*knees), *chain(*falls)]
     A = np.stack([weight * curve(x, v) for x in parts], axis=1)  # (N, parts)
-    torque = weight * torque
+    torque = torque * weight
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
     R = np.linalg.qr(np.c_[A / size, torque], mode="reduced").R
