@@ -266,7 +266,9 @@ class TestGap:
         diagnosis = examine(robot, [*recordings[:3], replace(recordings[3], tau=tau)])
         (finding,) = diagnosis.diagnosis.findings
         assert finding.effect == "contact"
-        assert any("no held-out motion shows contact" in x for x in diagnosis.diagnosis.doubts)
+        assert any(
+            "no held-out motion shows contact" in x for x in diagnosis.diagnosis.doubts
+        )
 
     def test_fit_and_score_share_nothing(self):
         gap = planar().gap
