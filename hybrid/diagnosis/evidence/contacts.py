@@ -146,7 +146,7 @@ class Contacts:
         return [self._contact(s, rise) for s in found[:count] for rise in _RISES]
 
     def _contact(self, stretch: _Stretch, rise: float) -> Effect:
-        """A contact that is more than half as strong as at most during a stretch."""
+        """A contact that has more than half of its force during a stretch."""
         duration = _CHUNK * stretch.length / (1.0 - rise / 2)
         middle = self._first + _CHUNK * (stretch.first + stretch.length / 2)
         times = {
