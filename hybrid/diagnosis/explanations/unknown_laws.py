@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hybrid.arrays import Array, Index
+from hybrid.diagnosis.evidence.bayes import log_bayes
 from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.explanations.cause import Cause
@@ -87,12 +88,10 @@ class UnknownLaws:
         found = list[tuple[float, float]]()
         for law in (x for x in self.all if x.place[1] == (joint,)):
             X = evidence.base_columns(law.index, joint)[1].T
-            X = X / np.sqrt(evidence.precision[law.index])
-            A, b = X[~then], left[~then]
-            H = np.eye(X.shape[1]) + A.T @ A / evidence.noise[joint]
-            s = A.T @ b / evidence.noise[joint]
-            gains = np.linalg.solve(H, s)
-            worth = s @ gains - np.linalg.slogdet(H)[1]
+            A, noise = X[~then], evidence.noise[joint]
+            H, s = A.T @ A / noise, A.T @ left[~then] / noise
+            none = np.full(len(s), -np.inf)
+            worth, gains = log_bayes(H, s, evidence.precision[law.index], none)
             rest = left[then] - X[then] @ gains
             found.append((float(worth), 1.0 - float(rest @ rest) / whole))
         best = max(worth for worth, _ in found)
