@@ -233,6 +233,8 @@ class TestGap:
         fastest = np.abs(result.gap.sampled.v).max(axis=0)
         assert np.all([s.speed for s in result.gap.scales] <= fastest)
         assert named(result) == {("nonlinear_viscous", ("shoulder",))}
+        (law,) = result.effects
+        assert law.values["fastest"] == pytest.approx(fastest[0], rel=0.05)
 
     @pytest.mark.parametrize("knee", [0.012, 0.014, 0.017, 0.02, 0.024])
     def test_dry_friction_that_is_full_from_any_low_speed_on_is_no_cause(self, knee):

@@ -63,6 +63,18 @@ def test_a_law_is_its_formula(name, values, expected):
     np.testing.assert_allclose(columns_at(name, **values), expected, rtol=1e-12)
 
 
+@given(st.floats(0.1, 5.0), st.floats(0.0, 20.0), st.sampled_from([-1.0, 1.0]))
+def test_a_polynomial_of_speed_goes_on_as_its_tangent(fastest, beyond, way):
+    inside = columns_at("nonlinear_viscous", v=way * fastest, fastest=fastest)
+    outside = columns_at(
+        "nonlinear_viscous", v=way * (fastest + beyond), fastest=fastest
+    )
+    powers = np.array([2, 3])
+    slope = powers * fastest ** (powers - 1)
+    np.testing.assert_allclose(inside, way * fastest**powers, rtol=1e-12)
+    np.testing.assert_allclose(outside, inside + way * slope * beyond, rtol=1e-9)
+
+
 # --- drives ---------------------------------------------------------------------------
 
 

@@ -55,6 +55,7 @@ gravity_tilt          pitch             0.01     -0.2     0.2      1     rad
 load_friction         coefficient       0.1      0        0.6      1     -
 nonlinear_viscous     quadratic         0.02     -0.5     0.5      τ/v²  N·m·s²/rad²
 nonlinear_viscous     cubic             0.005    -0.5     0.5      τ/v³  N·m·s³/rad³
+nonlinear_viscous     fastest           1000     0.0001  1000    1     rad/s whole
 payload               mass              2        0        50       1     kg
 payload               mx                0        -20      20       1     kg·m
 payload               my                0        -20      20       1     kg·m

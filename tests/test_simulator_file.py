@@ -230,6 +230,23 @@ def test_friction_of_a_file_takes_energy_at_every_speed():
     assert power.min() >= -1e-9
 
 
+def test_friction_beyond_the_logs_does_not_run_away():
+    """A cubic that fits slow logs would be 310 N.m of friction at full speed."""
+    robot = Robot.load(MODELS / "planar.xml")
+    slow = [
+        replace(m, v=0.2 * m.v / np.abs(m.v).max(axis=0))
+        for m in motions(robot, count=2)
+    ]
+    values = {"quadratic": -150.0, "cubic": 500.0, "fastest": 0.2}
+    found = [Viscous((1,), {"coefficient": 20.0}), NonlinearViscous((1,), values)]
+    made = build_simulator(robot, found, motions=slow).robot
+    top = np.array([[0.0, robot.v_max[1]]])
+    friction = made.joint_torque(0 * top, top, 0 * top)[0, 1] + made.frictionloss[1]
+    endless = values["quadratic"] * top[0, 1] ** 2 + values["cubic"] * top[0, 1] ** 3
+    # Tangent at 0.2 rad/s: 20 N.m.s/rad.
+    assert 0.5 < friction / (20.0 * top[0, 1]) < 2.0 < endless / (20.0 * top[0, 1])
+
+
 def test_drives_change_where_the_file_has_them(own, tmp_path):
     effects = [
         TorqueGain((0,), {"gain": 0.25}), CommandLatency((0,), {"time": 0.013}),

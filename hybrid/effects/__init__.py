@@ -3,11 +3,12 @@
 from hybrid.effects.effect import Effect, Port, Scope
 from hybrid.effects.in_plant import Spec
 from hybrid.effects.instant import Memory, Scalar
-from hybrid.effects.joint_effect import JointEffect, law_of_fields
-from hybrid.effects.quantity import Quantity, Scale
+from hybrid.effects.joint_effect import JointEffect, continued, law_of_fields
+from hybrid.effects.quantity import FASTEST, Quantity, Scale
 from hybrid.effects.state import Body, JointState, Nominal
 
 __all__ = [
+    "FASTEST",
     "Body",
     "Effect",
     "JointEffect",
@@ -20,6 +21,7 @@ __all__ = [
     "Scale",
     "Scope",
     "Spec",
+    "continued",
     "effect_at",
     "effect_class",
     "effect_classes",

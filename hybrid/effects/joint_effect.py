@@ -56,3 +56,9 @@ def law_of_fields(fields: Mapping[str, str]) -> Any:
         return [FIELDS[field](state) for field in fields.values()]
 
     return staticmethod(law)
+
+
+def continued(speed: Scalar, fastest: Scalar, power: int) -> Scalar:
+    """A power of the speed, and its tangent beyond the fastest one."""
+    seen = np.clip(speed, 0.0, fastest)
+    return (seen + power * (speed - seen)) * seen ** (power - 1)

@@ -68,3 +68,7 @@ class Quantity:
             per=(0, 0),
             spread=None if self.spread is None else self.spread * size,
         )
+
+
+# The highest speed in the data. Beyond it a law does not run away.
+FASTEST = Quantity("fastest", "rad/s", 1e3, 1e-4, 1e3, whole=True)

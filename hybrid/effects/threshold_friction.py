@@ -4,7 +4,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
+from hybrid.effects import (
+    FASTEST,
+    JointEffect,
+    JointState,
+    Port,
+    Quantity,
+    Scalar,
+    continued,
+)
 
 
 class ThresholdFriction(JointEffect):
@@ -42,7 +50,7 @@ class ThresholdFriction(JointEffect):
     shapes = (
         Quantity("threshold", "rad/s", 0.2, 0.0001, 100.0),
         Quantity("width", "rad/s", 0.002, 0.0, 10.0),
-        Quantity("fastest", "rad/s", 1e3, 1e-4, 1e3, whole=True),
+        FASTEST,
     )
     equation = (
         "τ = k_c± σ(v) + k_f σ(v)(1 − |v|/λ)₊ + k_s σ(v)(1 − |v|/λ)₊² "
@@ -66,8 +74,6 @@ class ThresholdFriction(JointEffect):
         ramp = np.where(speed < width, speed / np.maximum(width, 1e-12), 1.0)
         sigma = state.sign * ramp
         below = np.clip(1.0 - speed / shapes["threshold"], 0.0, None)
-        seen = np.clip(speed, 0.0, shapes["fastest"])
-        beyond = speed - seen
         return (
             np.where(state.sign > 0, sigma, 0.0),
             np.where(state.sign < 0, sigma, 0.0),
@@ -75,6 +81,6 @@ class ThresholdFriction(JointEffect):
             sigma * below**2,
             sigma * (1.0 - below),
             state.sign * speed,
-            state.sign * (seen + 2 * beyond) * seen,
-            state.sign * (seen + 3 * beyond) * seen**2,
+            state.sign * continued(speed, shapes["fastest"], 2),
+            state.sign * continued(speed, shapes["fastest"], 3),
         )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.effects import JointEffect, JointState, Port, Quantity, Scalar
+from hybrid.effects import FASTEST, JointEffect, JointState, Port, Quantity, Scalar
 
 
 class TorqueRipple(JointEffect):
@@ -24,7 +24,7 @@ class TorqueRipple(JointEffect):
     )
     shapes = (
         Quantity("periods", "1/turn", 20.0, 1.0, 1000.0, near=0.5),
-        Quantity("fastest", "rad/s", 1e3, 1e-4, 1e3, whole=True),
+        FASTEST,
     )
     equation = "τ = A_s · sin(k q) + A_c · cos(k q)"
     source = "Holtz and Springob 1996, doi 10.1109/28.491472"

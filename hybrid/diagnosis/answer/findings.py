@@ -12,7 +12,7 @@ from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.effects import Effect, effect_class
+from hybrid.effects import FASTEST, Effect, effect_class
 from hybrid.statistics import HALF_WIDTH
 
 _LEAST_CHANGE = 0.05  # of the largest change at a joint
@@ -162,7 +162,7 @@ def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
         joint = "arm"
     found = []
     for k, x in enumerate((*effect.gains, *effect.shapes)):
-        if x.inner:
+        if x.inner or x.name == FASTEST.name:
             continue
         value, std = effect.values[x.name], effect.std.get(x.name, 0.0)
         low, high = value - HALF_WIDTH * std, value + HALF_WIDTH * std

@@ -9,7 +9,15 @@ import numpy as np
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.shapes import Range
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.effects import Effect, Nominal, Port, Quantity, Scale, effect_classes
+from hybrid.effects import (
+    FASTEST,
+    Effect,
+    Nominal,
+    Port,
+    Quantity,
+    Scale,
+    effect_classes,
+)
 from hybrid.robot import Robot
 from hybrid.robot.spatial import link_spread
 
@@ -106,7 +114,12 @@ def gain_grid(gain: Quantity) -> Array:
 def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effect]:
     scale = gap.scales[joints[-1]]
     shapes = [s.scaled(scale) for s in cls.shapes]
-    axes = [_axis(s, _COARSE if k else _GRID) for k, s in enumerate(shapes)]
+    fastest = max(float(np.abs(m.v[:, joints[-1]]).max()) for m in gap.motions)
+    axes = [
+        np.clip([fastest], s.lower, s.upper) if s.name == FASTEST.name
+        else _axis(s, _COARSE if k else _GRID)
+        for k, s in enumerate(shapes)
+    ]  # fmt: skip
     if cls.steep:
         # Its shapes stay at typical values here, and are fitted on the shortlist.
         (gain,) = (g.scaled(scale) for g in cls.gains)

@@ -11,7 +11,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.effects import Effect, Quantity
+from hybrid.effects import FASTEST, Effect, Quantity
 
 _PRICE = 2.0  # nat, logarithm of the number of values of a shape that differ
 _SCAN_PRICE = 8.0  # nat, the same of a gain that is scanned
@@ -26,7 +26,8 @@ def price(effect: Effect) -> float:
     """Odds against the choice of an effect's shapes, [nat]."""
     if effect.choices is not None:
         return effect.choices
-    return _PRICE * len(effect.shapes) + (_SCAN_PRICE if effect.steep else 0.0)
+    chosen = [x for x in effect.shapes if x.name != FASTEST.name]
+    return _PRICE * len(chosen) + (_SCAN_PRICE if effect.steep else 0.0)
 
 
 @dataclass(frozen=True)
