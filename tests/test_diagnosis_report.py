@@ -338,6 +338,24 @@ class TestVerdict:
         assert lines[5].startswith("1. Torque ripple at shoulder: ")
         assert "% less (95% interval " in lines[6]
 
+    @pytest.mark.parametrize(
+        ("named", "where"),
+        [((0.1, 2.0), "1 of 2 joints"), ((0.9, 2.0), "no joint in full"),
+         ((0.1, 0.2), "2 of 2 joints")],
+    )  # fmt: skip
+    def test_part_of_a_gap_is_said_by_its_joints_on_held_out_motion(self, named, where):
+        """Not by a share in units of noise, to which small joints add as much."""
+        gaps = Unseen((1.0, 2.0), named, named, named, (0.1, 0.2), named)
+        found = replace(
+            planar().diagnosis,
+            verdict="partly_explained",
+            unexplained=0.97,
+            unseen=gaps,
+        )
+        assert verdict_lines(found)[1] == (
+            f"Partly explained: the gap at {where}; of the rest no cause is certain."
+        )
+
     def test_doubts_come_before_all_details(self):
         found = replace(planar().diagnosis, doubts=("the file is of another arm",))
         assert verdict_lines(found)[2] == "Doubts: the file is of another arm"

@@ -574,15 +574,17 @@ def test_an_account_has_what_is_explained_and_what_is_missed():
 
 def test_an_account_is_of_all_joints_with_what_does_not_recur(monkeypatch):
     left = {0: [100.0, 50.0], 1: [60.0, 50.0], 2: [20.0, 40.0]}
-    monkeypatch.setattr(
-        account_module, "_left", lambda search, causes: np.array(left[len(causes)])
-    )
+    measured = np.array([2.0, 3.0])
     monkeypatch.setattr(account_module, "_slow_share", lambda s: np.array([0.0, 0.4]))
     at = SimpleNamespace(
         causes=[A, LAW], known=[A],
         gap=SimpleNamespace(robot=SimpleNamespace(size=2)),
-        noise=SimpleNamespace(measured=np.array([2.0, 3.0])),
-        evidence=SimpleNamespace(count=np.array([10, 0])),
+        noise=SimpleNamespace(measured=measured), columns=len,
+        evidence=SimpleNamespace(
+            count=np.array([10, 0]),
+            solve=lambda index: SimpleNamespace(of=lambda own: own),
+            squares=lambda index, gains: np.array(left[gains]) * measured,
+        ),
     )  # fmt: skip
     found = account(at)
     np.testing.assert_allclose(found.before, [100.0, 50.0])

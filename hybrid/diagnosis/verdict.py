@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 
-from hybrid.diagnosis.answer.diagnosis import Finding, Verdict
+from hybrid.diagnosis.answer.diagnosis import EXPLAINED, Finding, Verdict
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.diagnosis.gap.coverage import too_little_motion
 from hybrid.diagnosis.gap.gap import Gap
 
-_EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
 _MISSED = 0.05  # share of a joint's squares, of a gap without a cause
 
 
@@ -37,6 +36,6 @@ def verdict_of(
     share = max(found.unknown, left)
     # The causes of other joints do not explain the gap of a joint without a cause.
     alone = (found.missed > found.explained) & (found.missed > _MISSED * found.before)
-    if 1.0 - share >= _EXPLAINED and not alone.any() and not doubtful:
+    if 1.0 - share >= EXPLAINED and not alone.any() and not doubtful:
         return "explained", share
     return "partly_explained", share

@@ -14,6 +14,7 @@ from hybrid.shown import Shown, plain
 
 SCHEMA = "hybrid.diagnosis/2"
 ABOVE = 1.2  # times the noise: a smaller gap is not mentioned
+EXPLAINED = 0.9  # share of the squares above noise, of a gap that is explained
 
 Verdict = Literal[
     "no_gap", "explained", "partly_explained", "unexplained", "not_excited"
@@ -255,9 +256,9 @@ class Diagnosis(Shown):
         elif moves:
             each["noise"] = self.noise_floor[joint]
         by = [f.effect for f in self.findings if name in f.joints]
-        return row | each | {"explained_by": by, "unknown": self._unknown_at(joint)}
+        return row | each | {"explained_by": by, "unknown": self.unknown_at(joint)}
 
-    def _unknown_at(self, joint: int) -> float | None:
+    def unknown_at(self, joint: int) -> float | None:
         """Share of a joint's squares above noise that no finding explains, unseen.
 
         None if the gap does not stand above the noise.

@@ -6,6 +6,7 @@ import numpy as np
 
 from hybrid.diagnosis.answer.diagnosis import (
     ABOVE,
+    EXPLAINED,
     Diagnosis,
     Finding,
     Region,
@@ -31,11 +32,21 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     return {
         "no_gap": "No gap: only noise is left, and the usual errors of robot files.",
         "explained": f"Explained: {effects} for {part} of the gap above noise.",
-        "partly_explained": f"Partly explained: {effects} for {part} of the gap above "
-        "noise; of the rest no cause is certain.",
+        "partly_explained": f"Partly explained: {_joints_explained(diagnosis)}; of the "
+        "rest no cause is certain.",
         "unexplained": "Unexplained: there is a gap, and no known effect is its cause.",
         "not_excited": "Not excited: these recordings move the arm too little to tell.",
     }[diagnosis.verdict]
+
+
+def _joints_explained(diagnosis: Diagnosis) -> str:
+    """The number of joints whose gap on held-out motion the findings explain."""
+    each = map(diagnosis.unknown_at, range(len(diagnosis.joints)))
+    unknown = [x for x in each if x is not None]
+    count = sum(x <= 1.0 - EXPLAINED for x in unknown)
+    if not count:
+        return "the gap at no joint in full"
+    return f"the gap at {count} of {len(unknown)} joints"
 
 
 def headline(diagnosis: Diagnosis) -> str:

@@ -53,19 +53,26 @@ def account(search: Search, reached: Array | None = None) -> Account:
     ``reached`` is the ceiling of an explanation with more causes, shape (n,).
     """
     laws = [c for c in search.causes if c.candidate is None]
-    left = [_left(search, causes) for causes in ([], search.known, search.causes)]
+    evidence = search.evidence
+    found = evidence.solve(search.columns(search.causes))
+
+    def left(causes: Sequence[Cause]) -> Array:
+        """Residual squares where all other causes have no torque, (n,)."""
+        index = search.columns(causes)
+        return evidence.squares(index, found.of(index)) / search.noise.measured
+
     depends = [
         " and ".join(c.place[0] for c in laws if c.place[1] == (j,))
         for j in range(search.gap.robot.size)
     ]
-    before, after, ceiling = left
+    before, after, ceiling = map(left, ([], search.known, search.causes))
     slow = _slow_share(search)
     for i in np.flatnonzero(slow):
         depends[i] = depends[i] or "what does not recur"
     ceiling = ceiling * np.maximum(1.0 - slow, 0.0)
     if reached is not None:
         ceiling = np.minimum(ceiling, reached)
-    variance = ceiling * search.noise.measured / np.maximum(search.evidence.count, 1)
+    variance = ceiling * search.noise.measured / np.maximum(evidence.count, 1)
     return Account(before, after, ceiling, variance, tuple(depends))
 
 
@@ -79,14 +86,3 @@ def _slow_share(search: Search) -> Array:
             slow = low_frequency_excess(x, rows, gap.rate, gap.cutoff)
             parts[i] = slow / max(float(x @ x), 1e-300)
     return np.where(parts > search.prior.slow_share, parts, 0.0)
-
-
-def _left(search: Search, causes: Sequence[Cause]) -> Array:
-    """Residual squares where all other causes have no torque, in units of noise, (n,).
-
-    The background is that of the whole explanation, or is refitted without any cause.
-    """
-    evidence = search.evidence
-    found = evidence.solve(search.columns(search.causes if causes else []))
-    index = search.columns(causes)
-    return evidence.squares(index, found.of(index)) / search.noise.measured
