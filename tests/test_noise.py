@@ -97,6 +97,18 @@ def test_the_evidence_of_coloured_noise_is_that_of_its_covariance():
         np.testing.assert_allclose(residual, gap.left[rows, i] - fitted, atol=1e-9)
 
 
+def test_gains_that_the_prior_holds_are_not_determined_by_samples():
+    """Of all gains, the samples of both joints determine what no prior does."""
+    *_, evidence, index = problem(2)
+    found = evidence.solve(np.concatenate(index))
+    held = np.diag(found.covariance) @ evidence.precision[found.index]
+    count = sum(evidence.determined(found, i) for i in range(2))
+    assert 0.0 < count == pytest.approx(len(found.index) - held)
+    evidence.scale_prior(found.index, 1e-6)
+    held_fast = evidence.solve(found.index)
+    assert sum(evidence.determined(held_fast, i) for i in range(2)) < 1e-3
+
+
 def test_noise_may_be_weighed_anew():
     gap, *_, evidence, index = problem(5)
     gap.trajectory = np.zeros(len(gap.fold), dtype=int)

@@ -6,7 +6,7 @@ import pytest
 from hybrid.recording import Recording
 from hybrid.signals import Sampler, motion_from_recording
 from hybrid.signals import cutoff as cutoffs
-from hybrid.signals.cutoff import _power, choose_cutoff
+from hybrid.signals.cutoff import choose_cutoff, power_spectrum
 from hybrid.signals.filters import (
     _continued,
     butterworth,
@@ -191,11 +191,11 @@ def test_nothing_filtered_is_nothing():
 def test_power_is_the_mean_square_of_its_segments_without_linear_trends():
     """The one-sided density of white noise is twice its variance."""
     x = 3.0 * np.random.default_rng(0).normal(size=(40_000, 2))
-    power = _power(x, 256)
-    np.testing.assert_allclose(_power(2.0 * x, 256), 4.0 * power, rtol=1e-9)
+    power = power_spectrum(x, 256)
+    np.testing.assert_allclose(power_spectrum(2.0 * x, 256), 4.0 * power, rtol=1e-9)
     assert power[8:-8].mean(axis=0) == pytest.approx(18.0, rel=0.03)
     sloped = x + np.outer(np.arange(40_000.0), [3.0, -50.0]) + 200.0
-    np.testing.assert_allclose(_power(sloped, 256)[1:], power[1:], rtol=1e-6)
+    np.testing.assert_allclose(power_spectrum(sloped, 256)[1:], power[1:], rtol=1e-6)
 
 
 def chosen(monkeypatch, level, *, rate=100.0, joints=1):
@@ -206,7 +206,7 @@ def chosen(monkeypatch, level, *, rate=100.0, joints=1):
         f = np.fft.rfftfreq(size, 1 / rate)
         return np.stack([level(f, j) for j in range(joints)], axis=1)
 
-    monkeypatch.setattr(cutoffs, "_power", power)
+    monkeypatch.setattr(cutoffs, "power_spectrum", power)
     q = np.random.default_rng(0).normal(size=(int(5 * rate), joints))
     return choose_cutoff(record(q, rate))
 

@@ -21,7 +21,6 @@ from hybrid.effects import Effect, JointState
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.regression.data import Data
-from hybrid.signals import Sampler
 
 _THRESHOLDS = 16
 _WIDTHS = (0.0, 0.01, 0.04)  # of the joint's highest speed
@@ -104,12 +103,14 @@ def _products(
     fastest = float(data.visited["v_max"][joint])
     sums = np.zeros((data.fold_count, size, size))
     for motion, fold, *new in zip(data.motions, data.folds, load, rest, strict=True):
-        sampler = Sampler.for_rate(motion.rate, data.cutoff)
+        sampler = data.sampler(motion.rate)
         moves = sampler.keep(data.moves(motion)[:, joint])
         own, v = sampler.keep(fold)[moves], motion.v[:, joint]
         new[0] = np.abs(new[0]) * np.sign(v)
-        columns = np.concatenate([_columns(v, fastest), new])
-        rows = sampler(columns, axis=1)[:, moves]
+        rows = sampler(np.concatenate([_columns(v, fastest), new]), axis=1)
+        if data.band < np.inf:  # the rest has passed that filter
+            rows[-1] = sampler.keep(new[-1])
+        rows = rows[:, moves]
         for k in np.unique(own):
             part = rows[:, own == k]
             sums[k] += part @ part.T

@@ -224,14 +224,15 @@ class Identification:
 
     def _file_residual(self, motion: Motion) -> Array:
         body = RigidBody(self.robot.chain, motion)
-        return motion.tau - simulated_torque(self.robot, motion, body)
+        tau = simulated_torque(self.robot, motion, body)
+        return motion.tau - self.data.seen(motion, tau)
 
     def _friction_candidates(self, start: Solution) -> list[Terms]:
         """The effects at each joint, with nonlinear friction fitted to the residual."""
         data, model = self.data, self._model(start)
         others = [e for e in start.effects if not self._is_friction(e)]
         frictionless = replace(model, effects=tuple(others))
-        rest = [m.tau - frictionless.predict(m) for m in data.motions]
+        rest = [m.tau - data.seen(m, frictionless.predict(m)) for m in data.motions]
         loads = [model.body(m).load for m in data.motions]
         candidates = {}
         for j in np.flatnonzero(~data.resting).tolist():

@@ -26,6 +26,7 @@ from hybrid.regression.least_squares import OUTLYING, solve_weighted, without_fo
 from hybrid.regression.problem import Problem, part
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
+from hybrid.signals.bandwidth import torque_bandwidth
 
 _FOLDS = 4  # of cross-validation
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
@@ -199,7 +200,8 @@ def products_at_best_cutoff(
     The first cut-off comes from the spectrum of the positions. Torque may be noisy at
     lower frequencies, and dry friction is noisy where the speed is. So the cut-off is
     halved while that lowers the held-out error of weighted least squares by more than
-    the friction which it hides may be worth.
+    the friction which it hides may be worth. Torque that its logger has low-pass
+    filtered is compared through that filter.
 
     The logs are those of :func:`checked_logs`. A cut-off that is given, [Hz], is used.
 
@@ -209,6 +211,9 @@ def products_at_best_cutoff(
     data = prepare(logs, cutoff)
     best = products = accumulate(problem, data)
     highest, least = data.cutoff, np.inf
+    band = _bandwidth(products, robust)
+    if band < np.inf:
+        return accumulate(problem, replace(data, band=band))
     if cutoff is not None or not any(isinstance(x, Recording) for x in logs):
         return best
     shortest = min(float(m.t[-1] - m.t[0]) for m in data.motions)
@@ -227,6 +232,21 @@ def products_at_best_cutoff(
             break
         best, least = products, level
     return best
+
+
+def _bandwidth(products: CrossProducts, robust: bool) -> float:
+    """Bandwidth of the logged torque, [Hz]; that of most logs, or infinity.
+
+    It is a property of the logger, for which masked samples count as well.
+    """
+    data, problem = products.data, products.problem
+    found = solve_weighted(products, "wls", robust=robust)
+    left = data.held_out_residual(problem, without_folds(products, found))
+    pairs = zip(data.motions, left, strict=True)
+    each = [
+        torque_bandwidth([(m.tau, m.tau - x)], m.rate, data.cutoff) for m, x in pairs
+    ]
+    return float(np.median(each))
 
 
 def summed_squares(squares: Array, robust: bool) -> Array:

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+
 from hybrid.arguments import typed
 from hybrid.effects import Effect
 from hybrid.errors import warn
@@ -24,6 +26,7 @@ from hybrid.regression.least_squares import Estimator
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
 from hybrid.signals import Motion
+from hybrid.signals.bandwidth import FILTERED
 from hybrid.threads import one_thread
 
 Stage = Literal["rigid", "friction", "ripple", "remainder"]
@@ -73,7 +76,8 @@ def identify(
 
     Warns:
         HybridWarning: A stage was left out, an iteration did not converge, the motion
-            excites the arm poorly, or consistent links fit worse.
+            excites the arm poorly, the logged torque was low-pass filtered, or
+            consistent links fit worse.
     """
     logs = checked_logs(robot, recordings)
     problem = build_problem(robot.chain, (*linear_effects(robot), *effects))
@@ -81,6 +85,8 @@ def identify(
     terms = Identification(
         robot, products.data, estimator, tuple(effects), robust, seed
     )
+    if products.data.band < np.inf:
+        terms.warnings.append(FILTERED.format(products.data.band))
     held_out = terms.rigid_stage(products)
     later = {
         "friction": terms.friction_stage,

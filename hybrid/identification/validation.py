@@ -1,6 +1,6 @@
 """Held-out errors of a model and of its simpler versions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from hybrid.regression.data import check_torque
 from hybrid.robot import Robot
 from hybrid.shown import Shown, plain
 from hybrid.signals import Motion, Sampler
+from hybrid.signals.bandwidth import FILTERED, torque_bandwidth
 
 _LINEAR = ("LS", "WLS", "IRLS", "rigid")
 
@@ -116,7 +117,8 @@ def validate(
 ) -> Validation:
     """Errors of a model and its simpler versions on recordings it has not seen.
 
-    The error is that of the torque from :func:`predict`, at the rate of the log.
+    The error is that of the torque from :func:`predict`, at the rate of the log, as its
+    logger shows it.
     Samples at which a joint stands still are left out for that joint.
 
     Args:
@@ -131,7 +133,8 @@ def validate(
         RecordingError: A recording does not fit the arm.
 
     Warns:
-        HybridWarning: The model was identified from a recording.
+        HybridWarning: The model was identified from a recording, or the torque of one
+            was low-pass filtered before it was logged.
     """
     if robot is not None:
         check_same_arm(model, robot)
@@ -153,8 +156,12 @@ def validate(
 
     size = np.maximum(rms([m.tau for m in motions]), 1e-300)
     rows, floors = list[ValidationRow](), list[Array]()
+    filters = _loggers(model, motions)
     for name, one in {**model.simpler, model.stage: model}.items():
-        left = [replace(m, tau=m.tau - one.predict(m)) for m in motions]
+        left = [
+            replace(m, tau=m.tau - seen(one.predict(m)))
+            for m, seen in zip(motions, filters, strict=True)
+        ]
         error = rms([m.tau for m in left])
         rows.append(ValidationRow(name, error, error / size))
         floor = noise_floor(left, model.cutoff)
@@ -169,6 +176,23 @@ def validate(
         samples=int(count.max()),
         seconds=float(sum(m.t[-1] - m.t[0] for m in motions)),
     )
+
+
+def _loggers(
+    model: DynamicModel, motions: Sequence[Motion]
+) -> list[Callable[[Array], Array]]:
+    """What each logger shows of a torque; it may have filtered it.
+
+    Warns:
+        HybridWarning: One has.
+    """
+    found = list[Callable[[Array], Array]]()
+    for m in motions:
+        band = torque_bandwidth([(m.tau, model.predict(m))], m.rate, model.cutoff)
+        found.append(Sampler(m.rate, band, 1))
+        if band < np.inf:
+            warn(f"{m.source or 'recording'}: {FILTERED.format(band)}")
+    return found
 
 
 def warn_of_own_logs(model: DynamicModel, logs: Sequence[Recording | Motion]) -> None:

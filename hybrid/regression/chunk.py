@@ -24,6 +24,7 @@ class Chunk:
         inner: The samples without those on both sides.
         hold: Whether columns of links are held for the next problem; most problems on
             the same motion have the same.
+        band: Bandwidth of the logged torque, [Hz], if its logger has filtered it.
     """
 
     first: int
@@ -31,14 +32,23 @@ class Chunk:
     sampler: Sampler
     inner: slice
     hold: bool
+    band: float = np.inf
     _links: dict[tuple[int, ...], tuple[Array, Array]] = field(default_factory=dict)
 
     def rows(self, problem: Problem) -> tuple[Array, Array]:
         """Rows of a problem, filtered and decimated, (P, M), and at full rate, (P, N).
 
-        Columns and torque are filtered identically.
+        Columns and torque are filtered identically. Torque that its logger has filtered
+        passes no other filter, and columns that one even at full rate.
         """
-        if any(e.changes_signals for e in problem.effects):
+        if self.band < np.inf:
+            full = problem.rows(self.motion)
+            columns = np.ones(len(full), dtype=bool)
+            columns[np.array(problem.offsets[1:]) - 1] = False
+            low = Sampler(self.motion.rate, self.band, 1)
+            full[columns] = low(full[columns], axis=1)
+            D = full[:, :: self.sampler.factor]
+        elif any(e.changes_signals for e in problem.effects):
             full = problem.rows(self.motion)
             D = self.sampler(full, axis=1)
         else:
@@ -62,7 +72,7 @@ class Chunk:
 
 
 def chunks_along(
-    motion: Motion, sampler: Sampler, *, hold: bool = False
+    motion: Motion, sampler: Sampler, *, hold: bool = False, band: float = np.inf
 ) -> Iterator[Chunk]:
     """Cut a motion into chunks.
 
@@ -75,4 +85,4 @@ def chunks_along(
         before, stop = max(0, start - margin), min(total, start + chunk)
         few = part(motion, slice(before, min(total, stop + margin)))
         inner = slice(start - before, stop - before)
-        yield Chunk(start // factor, few, sampler, inner, hold)
+        yield Chunk(start // factor, few, sampler, inner, hold, band)

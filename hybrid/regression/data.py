@@ -29,6 +29,8 @@ class Data:
         folds: Cross-validation fold of every sample, shape (N,) for each motion.
         cutoff: Cut-off of the filter of columns and torque, [Hz].
         standing: Speed of each joint below which it stands, shape (n,), [rad/s].
+        band: Bandwidth of the logged torque, [Hz], if its logger has filtered it below
+            the cut-off. Columns pass that filter, too, and torque no other one.
 
     Raises:
         RecordingError: A motion has no torque.
@@ -38,6 +40,7 @@ class Data:
     folds: tuple[Index, ...]
     cutoff: float
     standing: Array
+    band: float = np.inf
 
     def __post_init__(self) -> None:
         check_torque(self.motions)
@@ -103,9 +106,19 @@ class Data:
         n = self.motions[0].q.shape[1]
         entries = 5 * n * (n + 1) * sum(len(m.t) for m in self.motions)
         hold, rates = 8 * entries < _MOST_HELD, [m.rate for m in self.motions]
-        samplers = [Sampler.for_rate(x, self.cutoff) for x in rates]
-        pairs = zip(self.motions, samplers, strict=True)
-        return [list(chunks_along(*x, hold=hold)) for x in pairs]
+        pairs = zip(self.motions, map(self.sampler, rates), strict=True)
+        band = self.band
+        return [list(chunks_along(*x, hold=hold, band=band)) for x in pairs]
+
+    def sampler(self, rate: float) -> Sampler:
+        """Filter and decimator of columns at a rate, [Hz]."""
+        return Sampler.for_rate(rate, min(self.cutoff, self.band))
+
+    def seen(self, motion: Motion, torque: Array) -> Array:
+        """Modelled torque along a motion as its logger shows it, shape (N, ...)."""
+        if self.band == np.inf:
+            return torque
+        return Sampler(motion.rate, self.band, 1)(torque)
 
     @cached_property
     def fold_count(self) -> int:
@@ -145,7 +158,7 @@ class Data:
         """A residual as in :meth:`squares`, filtered, decimated and concatenated."""
         parts = []
         for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
-            sampler = Sampler.for_rate(motion.rate, self.cutoff)
+            sampler = self.sampler(motion.rate)
             few = slice(None, None, sampler.factor)
             moves = self.moves(motion)[few]
             parts.append((motion.q[few], motion.v[few], sampler(tau), moves, fold[few]))

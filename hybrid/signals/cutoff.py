@@ -28,7 +28,7 @@ def choose_cutoff(recording: Recording) -> float:
     if q.size == 0 or len(q) < 16 or highest <= 5.0:
         return float(highest)
     size = min(len(q), int(4 * rate))
-    f, power = np.fft.rfftfreq(size, 1 / rate), _power(q, size)
+    f, power = np.fft.rfftfreq(size, 1 / rate), power_spectrum(q, size)
     in_band = (f > NOISE_BAND[0] * rate) & (f < NOISE_BAND[1] * rate)
     noise = np.median(power[in_band], axis=0)
     # A simulated log has no noise; the floor is then 1e-14 of the peak.
@@ -42,7 +42,7 @@ def choose_cutoff(recording: Recording) -> float:
     return float(np.clip(1.5 * np.median(ends), 5.0, highest))
 
 
-def _power(x: Array, size: int) -> Array:
+def power_spectrum(x: Array, size: int) -> Array:
     """Power spectrum of signals (N, n), shape (size//2 + 1, n), in any unit.
 
     It is the mean over half-overlapping segments without their linear trends. Leakage

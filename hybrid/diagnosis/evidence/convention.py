@@ -29,7 +29,7 @@ from hybrid.identification.preparation import FEWEST_PERIODS
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import Motion
-from hybrid.signals.filters import LOWER_BAND
+from hybrid.signals.bandwidth import FILTERED
 
 _OPEN = 0.1  # s, prior standard deviation of a joint's own delay or step
 _LINEARITY = 0.1  # of a common time: error of columns that are linear in it
@@ -44,11 +44,13 @@ class Convention:
         step: Implicit step h that the logged damping leaves out, [s].
         std: Standard deviation of ``late``, [s], if torque and position were stamped by
             different clocks; 0 if the delay is a step of the simulation.
+        bandwidth: Frequency above which a filter has removed torque, [Hz].
     """
 
     late: float = 0.0
     step: float = 0.0
     std: float = 0.0
+    bandwidth: float = np.inf
 
     def __bool__(self) -> bool:
         return self.late > 0 or self.step > 0
@@ -92,6 +94,8 @@ class Convention:
     def notes(self) -> tuple[str, ...]:
         """The corrections, in words."""
         found = []
+        if self.bandwidth < np.inf:
+            found.append(FILTERED.format(self.bandwidth))
         if self.clocks:
             found.append(
                 f"torque is logged {1e3 * self.late:.3g} ms late at every joint: all "
@@ -126,7 +130,7 @@ def find_convention(
     robot = gap.robot
     shortest = min(float(m.t[-1] - m.t[0]) for m in gap.motions)
     # Noise of an acceleration's derivative grows with the cube of frequency.
-    lower = max(LOWER_BAND * gap.cutoff, FEWEST_PERIODS / shortest)
+    lower = max(gap.lower_cutoff(), FEWEST_PERIODS / shortest)
     measured = partial(measure_gap, robot, cutoff=lower)
     gap = measured(recordings)
     if not gap.moving.any():

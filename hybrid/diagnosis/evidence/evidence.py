@@ -149,6 +149,15 @@ class Evidence(Products):
         occam = np.log(np.diag(factor[0])).sum()
         return Solution(index, gains, float(0.5 * b @ gains - occam), unit, factor)
 
+    def determined(self, solution: Solution, i: int) -> float:
+        """Number of gains that the samples of a joint determine, and not their prior.
+
+        Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415.
+        """
+        here, at = self._here(i, solution.index)
+        A = self._joints[i].across(here, here) * self._weight(i)
+        return float(np.sum(A * solution.covariance[np.ix_(at, at)]))
+
     def residuals(self, index: Index, gains: Array | None = None) -> list[Array]:
         """Residual of each joint, [N·m]; at the most probable gains by default."""
         gains = self.solve(index).gains if gains is None else gains

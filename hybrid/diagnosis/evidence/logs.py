@@ -4,7 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from hybrid.diagnosis.evidence.convention import Convention, find_convention
+from hybrid.diagnosis.gap.bandwidth import bandwidth
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.recording import Recording
@@ -22,22 +25,28 @@ def measured(
     """Find the logging convention, correct the logs, and measure their gap.
 
     ``clocks`` is whether torque may be late by the same time at every joint. Without a
-    ``cutoff``, [Hz], it is chosen from the spectrum.
+    ``cutoff``, [Hz], it is chosen from the spectrum of positions.
 
     Returns:
         The convention; the corrected logs; the gap of the corrected logs; and the gap
         without the correction for torque that another clock stamped.
     """
-    gap = measure_gap(robot, recordings, cutoff=cutoff)
+    measure = partial(measure_gap, robot, cutoff=cutoff)
+    gap = measure(recordings)
+    band = bandwidth(gap)
+    if band < np.inf:
+        measure = partial(measure, band=band)
+        gap = measure(recordings)
     logged = find_convention(gap, recordings, clocks=clocks)
+    logged = replace(logged, bandwidth=band)
     if not logged:
         return logged, list(recordings), gap, gap
     correct = partial(logged.correct, robot)
     shifted = [logged.shift(x) for x in recordings]
-    gap = measure_gap(robot, shifted, cutoff=cutoff, correct=correct)
+    gap = measure(shifted, correct=correct)
     as_logged = gap
     if logged.clocks:
-        as_logged = measure_gap(robot, recordings, cutoff=gap.cutoff, correct=correct)
+        as_logged = measure(recordings, correct=correct)
     return logged, shifted, gap, as_logged
 
 

@@ -54,13 +54,14 @@ class NoiseModel:
             index: Columns of the explanation.
         """
         evidence, lower = self._evidence, False
-        gaps, residuals = evidence.residuals(rigid), evidence.residuals(index)
+        gaps, found = evidence.residuals(rigid), evidence.solve(index)
+        residuals = evidence.residuals(index, found.gains)
         for i, row in enumerate(evidence.rows):
             if not len(row):
                 continue
             back = np.argsort(row)
             left = residuals[i][back]
-            fitted = len(evidence.base_columns(index, i)[0])
+            fitted = evidence.determined(found, i)
             left /= max(1.0 - fitted / _dimensions(evidence, i), 1e-3)
             power, gap = float(np.mean(left**2)), float(np.mean(gaps[i] ** 2))
             if power < _LESS * evidence.covariances[i][0]:

@@ -15,7 +15,7 @@ _KNOTS = 14  # of a function of one signal
 _COARSE = 6  # of a function of two signals, for each
 _LENGTHS = 0.5, 0.1  # of the range, length scales of a law
 _LEAST = 1e-3  # power of a mode over that of the strongest one
-_SLOW = 0.3  # of the cut-off
+_SLOW = 0.3  # of the cut-off of positions
 WAVES = 3  # sinusoids in a law
 _SLOWEST = 0.5  # Hz, of a sinusoid in time
 
@@ -86,7 +86,7 @@ def _pairs(angles: list[Array]) -> Array:
 
 def _slow(gap: Gap, x: Array) -> Array:
     """Signals in the lower part of the band, shape (M, ...)."""
-    return low_passed(gap, x, _SLOW * gap.cutoff)
+    return low_passed(gap, x, gap.lower_cutoff(_SLOW))
 
 
 def low_passed(gap: Gap, x: Array, cutoff: float) -> Array:

@@ -17,14 +17,13 @@ from hybrid.diagnosis.explanations.joint_laws import (
     smooth_features,
 )
 from hybrid.diagnosis.gap.gap import Columns, Gap
-from hybrid.signals.filters import LOWER_BAND
 
 _KNOTS = 8
 
 
 def transmission_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Columns]]:
     """Yield the name of each law, and its columns at all joints that φ reaches."""
-    low = LOWER_BAND * gap.cutoff
+    low = gap.lower_cutoff()
     # The load and the residual contain the same noise of positions.
     load = low_passed(gap, gap.load[:, joint], low)
     q = gap.sampled.q[:, joint]

@@ -53,6 +53,8 @@ class Gap:
             each motion, shape (N, n), [N·m]; empty without one.
         joins: The gaps whose motions it has, one after the other; empty for one that
             was measured.
+        position_cutoff: Frequency above which positions hold more noise than motion,
+            [Hz]; the cut-off by default.
     """
 
     robot: Robot
@@ -67,12 +69,20 @@ class Gap:
     notes: tuple[str, ...] = ()
     healthy: tuple[Array, ...] = ()
     joins: tuple[Gap, ...] = ()
+    position_cutoff: float = 0.0
     _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 
     @cached_property
     def samplers(self) -> list[Sampler]:
         """Filter and decimator of each motion."""
         return [Sampler.for_rate(m.rate, self.cutoff) for m in self.motions]
+
+    def lower_cutoff(self, part: float = LOWER_BAND) -> float:
+        """Cut-off of derivatives of positions, a part of that of positions, [Hz].
+
+        Above half of it they are mostly noise.
+        """
+        return min(self.cutoff, part * max(self.position_cutoff, self.cutoff))
 
     @cached_property
     def scales(self) -> tuple[Scale, ...]:
@@ -240,7 +250,7 @@ class Gap:
         """
         parts = []
         for m, body, sampler in self:
-            low = partial(butterworth, rate=m.rate, cutoff=LOWER_BAND * self.cutoff)
+            low = partial(butterworth, rate=m.rate, cutoff=self.lower_cutoff())
             # The torque is filtered: simulated again, its dry friction would reverse
             # at other times.
             slow = replace(m, q=low(m.q), v=low(m.v), a=low(m.a), tau=low(m.tau))
@@ -255,7 +265,7 @@ class Gap:
         Declared dry friction has no noise, and keeps its band up to 25 Hz; so does
         the torque of a healthy arm, which is mostly friction.
         """
-        parts, band = [], LOWER_BAND * self.cutoff
+        parts, band = [], self.lower_cutoff()
         more = self.healthy or [np.zeros(1)] * len(self.motions)
         each = zip(self.motions, more, self.lower_band, strict=True)
         for m, healthy, (slow, body, sampler) in each:

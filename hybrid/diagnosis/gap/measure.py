@@ -40,6 +40,7 @@ def measure_gap(
     recordings: Sequence[Recording | Motion],
     *,
     cutoff: float | None = None,
+    band: float = np.inf,
     correct: Callable[[Motion], Motion] | None = None,
 ) -> Gap:
     """Measure the gap between logs and a simulator.
@@ -47,7 +48,8 @@ def measure_gap(
     Args:
         robot: The simulator, with the friction that its file declares.
         recordings: Checked logs of the real arm, or motions made from them.
-        cutoff: Cut-off, [Hz]; chosen from the spectrum if not given.
+        cutoff: Cut-off, [Hz]; chosen from the spectrum of positions if not given.
+        band: Bandwidth of the logged torque, [Hz]: no higher frequency is compared.
         correct: Correction of each motion; see :mod:`.convention`.
 
     Raises:
@@ -72,11 +74,14 @@ def measure_gap(
     fastest = np.max([x.max(axis=0) for x in speeds], axis=0, initial=0.0)
     slowest = np.maximum(STANDING * fastest, SLOWEST)
     bodies = tuple(RigidBody(robot.chain, m) for m in motions)
+    of_positions, cutoff = cutoff, min(cutoff, band)
     simulated, left, moving = [], [], []
     for r, (motion, body) in enumerate(zip(motions, bodies, strict=True)):
         sampler = Sampler.for_rate(motion.rate, cutoff)
         tau = simulated_torque(robot, motion, body)
-        left.append(sampler(motion.tau - tau))
+        # A logger's filter is like the sampler's: torque need not pass it twice.
+        known = sampler.keep if band == cutoff else sampler
+        left.append(known(motion.tau) - sampler(tau))
         asked = _asked(motion, tau, cutoff)
         simulated.append(replace(motion, tau=tau, asked=asked, number=r))
         every = round(logged[r].rate / motion.rate) * sampler.factor
@@ -88,7 +93,7 @@ def measure_gap(
     return Gap(
         robot, tuple(simulated), bodies, cutoff, 1.0 / logged[0].rate,
         np.concatenate(left), used, fold, trajectory,
-        tuple(note for f in faults for note in f.notes),
+        tuple(note for f in faults for note in f.notes), position_cutoff=of_positions,
     )  # fmt: skip
 
 

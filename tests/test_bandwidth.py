@@ -1,0 +1,98 @@
+"""Torque that its logger has low-pass filtered is compared through that filter."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, filtfilt, lfilter
+from simulated import arm, quiet
+
+from hybrid.diagnosis.diagnose import examine
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.viscous import Viscous
+from hybrid.identification import identify, validate
+from hybrid.plant import random_fourier, simulate
+from hybrid.signals.bandwidth import torque_bandwidth
+
+RATE, BAND = 250.0, 2.5
+LEVEL = 4.0  # N.m, of dry friction that the simulator lacks
+
+
+def friction(duration=20.0, seed=0):
+    """Friction along a slow motion, which has all frequencies, shape (N, 2)."""
+    robot = arm("planar")
+    motion = random_fourier(robot, duration=duration, rate=RATE, seed=seed)
+    return 3.0 * np.sign(motion.v) + 2.0 * motion.v
+
+
+@settings(max_examples=20, deadline=None)
+@given(band=st.floats(1.5, 6.0), order=st.integers(3, 6), seed=st.integers(0, 9))
+def test_the_bandwidth_of_any_steep_filter_is_found(band, order, seed):
+    """Its frequency of gain one half, run forward and backward."""
+    torque = friction(seed=seed)
+    filtered = filtfilt(*butter(order, band, fs=RATE), torque, axis=0)
+    found = torque_bandwidth([(filtered, torque)], RATE, 20.0)
+    # A gain of 1/√2 in each of both passes.
+    assert found == pytest.approx(band, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    "logged",
+    [
+        lambda x, rng: x,
+        lambda x, rng: x + 0.05 * rng.standard_normal(x.shape),
+        lambda x, rng: lfilter([0.1], [1.0, -0.9], x, axis=0),  # a lag of first order
+        lambda x, rng: np.tanh(3.0 * x),  # friction that rises gradually
+        lambda x, rng: 0.2 * x,
+    ],
+)
+def test_other_torque_is_not_filtered(logged):
+    torque = friction()
+    seen = logged(torque, np.random.default_rng(0))
+    assert torque_bandwidth([(seen, torque)], RATE, 20.0) == np.inf
+
+
+def test_what_a_model_lacks_is_no_filter():
+    torque = friction()
+    known = 2.0 * np.gradient(torque, axis=0)
+    assert torque_bandwidth([(torque, torque + known)], RATE, 20.0) == np.inf
+    assert torque_bandwidth([(torque, 0 * torque)], RATE, 20.0) == np.inf
+
+
+@cache
+def filtered_logs(count=4):
+    """Logs of an arm with dry friction, whose torque was filtered."""
+    robot = arm("planar")
+    truth = [Coulomb((0,), {"level": LEVEL}), Viscous((1,), {"coefficient": 0.5})]
+    logs = simulate(robot, truth, trajectories=count, duration=12.0, seed=3)
+    b, a = butter(4, BAND, fs=logs[0].rate)
+    return [replace(x, tau=filtfilt(b, a, x.tau, axis=0)) for x in logs]
+
+
+def test_identification_finds_the_friction_behind_a_filter():
+    robot, logs = arm("planar"), filtered_logs()
+    fit, told = quiet(identify, robot, logs[:3], stages=("rigid",))
+    plain, _ = quiet(identify, robot, logs[:3], stages=("rigid",), cutoff=BAND)
+    found = {(e.id, e.joints): e.values for e in fit.model.effects}
+    declared = float(robot.frictionloss[0])
+    level = found["coulomb", (0,)]["level"] - declared
+    assert level == pytest.approx(LEVEL, rel=0.05)
+    rows, said = quiet(validate, fit.model, logs[3:])
+    for texts in (told, said):
+        assert any("low-pass filtered at about 2." in text for text in texts)
+    assert rows.rows[-1].relative.max() < 0.02
+    assert np.all(fit.held_out["IRLS"] <= 1.1 * plain.held_out["IRLS"])
+
+
+def test_a_diagnosis_finds_the_friction_behind_a_filter():
+    """Sharp friction beside smooth torque looks like any friction but dry one."""
+    result = examine(arm("planar"), filtered_logs())
+    found = {(f.effect, f.joints) for f in result.diagnosis.findings}
+    assert found == {("coulomb", ("shoulder",)), ("viscous", ("elbow",))}
+    assert result.gap.cutoff == pytest.approx(BAND, rel=0.15)
+    (level,) = result.diagnosis.findings[0].parameters
+    assert level.interval[0] < LEVEL < level.interval[1]
+    assert any("filtered at about" in text for text in result.diagnosis.warnings)
