@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, filtfilt, lfilter
 from simulated import arm, quiet
 
+from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
@@ -90,6 +91,8 @@ def test_identification_finds_the_friction_behind_a_filter():
 def test_a_diagnosis_finds_the_friction_behind_a_filter():
     """Sharp friction beside smooth torque looks like any friction but dry one."""
     result = examine(arm("planar"), filtered_logs())
+    moved = with_motion_gap(result, np.random.default_rng(0)).diagnosis
+    assert "no replay" in moved.warnings[-1]
     found = {(f.effect, f.joints) for f in result.diagnosis.findings}
     assert found == {("coulomb", ("shoulder",)), ("viscous", ("elbow",))}
     assert result.gap.cutoff == pytest.approx(BAND, rel=0.15)

@@ -26,7 +26,8 @@ from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
 from hybrid.regression.data import Data
 from hybrid.robot.spatial import inertial_about
-from hybrid.signals import Motion, Sampler, autocorrelation_time
+from hybrid.signals import Motion, autocorrelation_time
+from hybrid.signals.bandwidth import band_of
 
 _FROM_TOOL = 0.05  # m, distance of a payload's centre from the tool, and its size
 _DRAWS = 400  # of the payload's centre
@@ -117,8 +118,11 @@ def deviations(
     robot, effects = model.robot, followed(track, model.robot.size)
     logs = checked_logs(robot, recordings)
     data = prepare(logs, model.cutoff if np.isfinite(model.cutoff) else None)
+    expected = [model.predict(m) for m in data.motions]
+    data = replace(data, band=band_of(data.motions, expected, data.cutoff))
     rigid = [k for k, c in enumerate(model.base.kept) if c < 10 * robot.size]
-    parts = [_filtered_rows(model, rigid, effects, data, m) for m in data.motions]
+    pairs = zip(data.motions, expected, strict=True)
+    parts = [_filtered_rows(model, rigid, effects, data, *x) for x in pairs]
     theta, covariance, residual = _posterior(parts, _prior(model, rigid, effects, tool))
     warm = [m.temperature for m in data.motions if m.temperature is not None]
     load = np.concatenate([model.body(m).load for m in data.motions])
@@ -194,10 +198,10 @@ def _filtered_rows(
     effects: Followed,
     data: Data,
     motion: Motion,
+    expected: Array,
 ) -> Array:
     """Filtered columns, then the residual, shape (M, n, p + 1); NaN at rest."""
-    n = model.robot.size
-    body, expected = model.body(motion), model.predict(motion)
+    n, body = model.robot.size, model.body(motion)
     kept = [model.base.kept[k] for k in rigid]
     columns = [body.columns[:, :, kept]]
     for effect, _ in effects:
@@ -205,9 +209,10 @@ def _filtered_rows(
         joints = list(effect.reaches(n))
         wide[:, joints] = _columns(effect, motion, body, expected)
         columns.append(wide)
-    whole = np.concatenate([*columns, (motion.tau - expected)[:, :, None]], axis=2)
-    sampler = Sampler.for_rate(motion.rate, data.cutoff)
+    whole = np.concatenate([*columns, expected[:, :, None]], axis=2)
+    sampler = data.sampler(motion.rate)
     out = sampler(whole.reshape(len(motion.t), -1)).reshape(-1, n, whole.shape[2])
+    out[:, :, -1] = data.logged(motion) - out[:, :, -1]
     out[~data.moves(motion)[:: sampler.factor]] = np.nan
     return np.asarray(out)
 

@@ -26,7 +26,7 @@ from hybrid.regression.least_squares import OUTLYING, solve_weighted, without_fo
 from hybrid.regression.problem import Problem, part
 from hybrid.robot import Robot
 from hybrid.signals import Motion, Sampler, choose_cutoff, motion_from_recording
-from hybrid.signals.bandwidth import torque_bandwidth
+from hybrid.signals.bandwidth import band_of
 
 _FOLDS = 4  # of cross-validation
 _POSITION_CUTOFF = 2.0  # of the cut-off of columns and torque
@@ -211,7 +211,10 @@ def products_at_best_cutoff(
     data = prepare(logs, cutoff)
     best = products = accumulate(problem, data)
     highest, least = data.cutoff, np.inf
-    band = _bandwidth(products, robust)
+    found = solve_weighted(products, "wls", robust=robust)
+    left = data.held_out_residual(problem, without_folds(products, found))
+    models = [m.tau - x for m, x in zip(data.motions, left, strict=True)]
+    band = band_of(data.motions, models, data.cutoff)
     if band < np.inf:
         return accumulate(problem, replace(data, band=band))
     if cutoff is not None or not any(isinstance(x, Recording) for x in logs):
@@ -232,21 +235,6 @@ def products_at_best_cutoff(
             break
         best, least = products, level
     return best
-
-
-def _bandwidth(products: CrossProducts, robust: bool) -> float:
-    """Bandwidth of the logged torque, [Hz]; that of most logs, or infinity.
-
-    It is a property of the logger, for which masked samples count as well.
-    """
-    data, problem = products.data, products.problem
-    found = solve_weighted(products, "wls", robust=robust)
-    left = data.held_out_residual(problem, without_folds(products, found))
-    pairs = zip(data.motions, left, strict=True)
-    each = [
-        torque_bandwidth([(m.tau, m.tau - x)], m.rate, data.cutoff) for m, x in pairs
-    ]
-    return float(np.median(each))
 
 
 def summed_squares(squares: Array, robust: bool) -> Array:

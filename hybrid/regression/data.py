@@ -114,6 +114,11 @@ class Data:
         """Filter and decimator of columns at a rate, [Hz]."""
         return Sampler.for_rate(rate, min(self.cutoff, self.band))
 
+    def logged(self, motion: Motion) -> Array:
+        """Decimated torque, which has passed no more than the filter of columns."""
+        sampler = self.sampler(motion.rate)
+        return sampler.keep(motion.tau) if self.band < np.inf else sampler(motion.tau)
+
     def seen(self, motion: Motion, torque: Array) -> Array:
         """Modelled torque along a motion as its logger shows it, shape (N, ...)."""
         if self.band == np.inf:

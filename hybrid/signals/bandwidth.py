@@ -6,6 +6,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.signals.cutoff import power_spectrum
+from hybrid.signals.motion import Motion
 
 FILTERED = (
     "torque was low-pass filtered at about {:.2g} Hz before it was logged: models are "
@@ -51,3 +52,13 @@ def torque_bandwidth(
         return np.inf
     edge = slice(int(passed[-1]), int(passed[-1]) + 2)
     return float(np.interp(0.0, np.log(_LEFT / ratio[edge]), f[edge]))
+
+
+def band_of(motions: Sequence[Motion], models: Sequence[Array], cutoff: float) -> float:
+    """:func:`torque_bandwidth` of most logs, [Hz]; ``models`` have (N, n) for each.
+
+    It is a property of the logger, for which masked samples count as well.
+    """
+    pairs = zip(motions, models, strict=True)
+    each = [torque_bandwidth([(m.tau, x)], m.rate, cutoff) for m, x in pairs]
+    return float(np.median(each))

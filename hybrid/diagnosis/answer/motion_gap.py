@@ -26,6 +26,10 @@ _NO_REPLAY = (
     "too few stretches of a tenth of a second, of those kept for scoring, to replay "
     "{}: its shrinkage in motion is not known"
 )
+_FILTERED = (
+    "no replay: torque that was low-pass filtered does not move a simulator as the "
+    "drives moved the arm"
+)
 _DENIED = (
     "{} explains torque, but the simulator with it does not move more like the arm: "
     "do not take it for the cause"
@@ -46,6 +50,8 @@ def with_motion_gap(
     """
     if not result.effects:
         return result
+    if result.gap.torque_is_filtered:
+        return replace(result, diagnosis=_noted(result.diagnosis, [_FILTERED]))
     if progress:
         progress("replaying the simulator", 0.85)
     try:

@@ -77,6 +77,11 @@ class Gap:
         """Filter and decimator of each motion."""
         return [Sampler.for_rate(m.rate, self.cutoff) for m in self.motions]
 
+    @property
+    def torque_is_filtered(self) -> bool:
+        """Whether the logged torque lacks frequencies that the motion has."""
+        return self.cutoff < self.position_cutoff
+
     def lower_cutoff(self, part: float = LOWER_BAND) -> float:
         """Cut-off of derivatives of positions, a part of that of positions, [Hz].
 
