@@ -99,3 +99,24 @@ def test_a_diagnosis_finds_the_friction_behind_a_filter():
     (level,) = result.diagnosis.findings[0].parameters
     assert level.interval[0] < LEVEL < level.interval[1]
     assert any("filtered at about" in text for text in result.diagnosis.warnings)
+
+
+def test_repeats_of_a_healthy_arm_show_no_change_behind_a_filter():
+    robot, logs = arm("planar"), filtered_logs()
+    fit, _ = quiet(identify, robot, logs[:2], stages=("rigid",))
+    again = examine(fit.model, logs[2:])
+    assert again.diagnosis.verdict == "no_gap"
+    worn = Coulomb((1,), {"level": 2.0})
+    b, a = butter(4, BAND, fs=logs[0].rate)
+    more = [
+        replace(x, tau=x.tau + filtfilt(b, a, friction_of(worn, x), axis=0))
+        for x in logs[2:]
+    ]
+    found = examine(fit.model, more).diagnosis.findings
+    assert [(f.effect, f.joints) for f in found] == [("coulomb", ("elbow",))]
+
+
+def friction_of(effect, log):
+    """Torque of dry friction along a log, shape (N, n)."""
+    v = np.gradient(log.q, log.t, axis=0)
+    return effect.values["level"] * np.sign(v) * (np.arange(2) == effect.joints[0])

@@ -185,12 +185,12 @@ class _Case:
         if isinstance(robot, DynamicModel):
             healthy = Baseline(robot)
             robot, without = healthy.robot, [*without, *healthy.inborn]
-        recordings = since_first(checked_logs(robot, recordings))
+        recordings, band = since_first(checked_logs(robot, recordings)), None
         if healthy:
-            recordings = healthy.subtract_from(recordings)
+            recordings, band = healthy.subtract_from(recordings)
         delay = effect_at(Port.MEASUREMENT, shifts=True)
         logged, recordings, *gaps = measured(
-            robot, recordings, cutoff, clocks=delay.id not in without
+            robot, recordings, cutoff, clocks=delay.id not in without, band=band
         )
         gap, as_logged = map(healthy.with_subtracted, gaps) if healthy else gaps
         return cls(recordings, logged, gap, as_logged, tuple(without), healthy)

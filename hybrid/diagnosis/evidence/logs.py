@@ -21,11 +21,13 @@ def measured(
     cutoff: float | None,
     *,
     clocks: bool,
+    band: float | None = None,
 ) -> tuple[Convention, list[Recording | Motion], Gap, Gap]:
     """Find the logging convention, correct the logs, and measure their gap.
 
     ``clocks`` is whether torque may be late by the same time at every joint. Without a
-    ``cutoff``, [Hz], it is chosen from the spectrum of positions.
+    ``cutoff`` it is chosen from the spectrum of positions, and without the bandwidth of
+    the logged torque, ``band``, that is found; both in [Hz].
 
     Returns:
         The convention; the corrected logs; the gap of the corrected logs; and the gap
@@ -33,7 +35,7 @@ def measured(
     """
     measure = partial(measure_gap, robot, cutoff=cutoff)
     gap = measure(recordings)
-    band = bandwidth(gap)
+    band = bandwidth(gap) if band is None else band
     if band < np.inf:
         measure = partial(measure, band=band)
         gap = measure(recordings)

@@ -13,7 +13,8 @@ from hybrid.identification.preparation import motions_from_logs
 from hybrid.model import DynamicModel
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.signals import Motion
+from hybrid.signals import Motion, Sampler
+from hybrid.signals.bandwidth import band_of
 
 _LACKS = (
     "the model has no {}: it may always have lacked it. Diagnose other logs of the "
@@ -46,13 +47,20 @@ class Baseline:
 
     def subtract_from(
         self, logs: Sequence[Recording | Motion]
-    ) -> list[Recording | Motion]:
-        """Checked logs, or motions, without the model's effects and remainder."""
+    ) -> tuple[list[Recording | Motion], float]:
+        """Checked logs, or motions, without the model's effects and remainder.
+
+        Returns:
+            The logs, and the bandwidth of their torque, [Hz].
+        """
         motions, _ = motions_from_logs(logs, self.model.cutoff)
+        whole = [self.model.predict(m) for m in motions]
+        band = band_of(motions, whole, self.model.cutoff)
+        pairs = zip(logs, motions, strict=True)
         return [
-            replace(x, tau=x.tau - self._torque(m))
-            for x, m in zip(logs, motions, strict=True)
-        ]
+            replace(x, tau=x.tau - Sampler(m.rate, band, 1)(self._torque(m)))
+            for x, m in pairs
+        ], band
 
     def with_subtracted(self, gap: Gap) -> Gap:
         """A gap that knows the subtracted torque, which may be slightly wrong."""
