@@ -62,7 +62,7 @@ class NoiseModel:
             back = np.argsort(row)
             left = residuals[i][back]
             fitted = evidence.determined(found, i)
-            left /= max(1.0 - fitted / _dimensions(evidence, i), 1e-3)
+            left /= np.sqrt(max(1.0 - fitted / _dimensions(evidence, i), 1e-3))
             power, gap = float(np.mean(left**2)), float(np.mean(gaps[i] ** 2))
             if power < _LESS * evidence.covariances[i][0]:
                 lasts = autocorrelation_time(left, row[back])
