@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from hybrid.diagnosis.diagnose import examine
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
 from hybrid.identification import identify, validate
+from hybrid.model import DynamicModel
+from hybrid.online import OnlineIdentifier, Sample
 from hybrid.plant import random_fourier, simulate
 from hybrid.signals.bandwidth import torque_bandwidth
 
@@ -73,6 +77,12 @@ def filtered_logs(count=4):
     return [replace(x, tau=filtfilt(b, a, x.tau, axis=0)) for x in logs]
 
 
+def load_model_again(model):
+    with TemporaryDirectory() as folder:
+        model.save(Path(folder) / "model.json")
+        return DynamicModel.load(Path(folder) / "model.json")
+
+
 def test_identification_finds_the_friction_behind_a_filter():
     robot, logs = arm("planar"), filtered_logs()
     fit, told = quiet(identify, robot, logs[:3], stages=("rigid",))
@@ -82,6 +92,14 @@ def test_identification_finds_the_friction_behind_a_filter():
     level = found["coulomb", (0,)]["level"] - declared
     assert level == pytest.approx(LEVEL, rel=0.05)
     rows, said = quiet(validate, fit.model, logs[3:])
+    assert load_model_again(fit.model).band == fit.model.band < 1.2 * BAND
+    tracker = OnlineIdentifier.from_model(fit.model, rate=logs[3].rate)
+    changes = [
+        tracker.update(Sample(float(t), q, tau))
+        for t, q, tau in zip(logs[3].t, logs[3].q, logs[3].tau, strict=True)
+    ]
+    assert not any(changes)
+    assert np.all(tracker.error < 0.1 * LEVEL)
     for texts in (told, said):
         assert any("low-pass filtered at about 2." in text for text in texts)
     assert rows.rows[-1].relative.max() < 0.02

@@ -99,6 +99,7 @@ class Solution:
             data.standing,
             data.visited,
             self.inertial,
+            band=data.band,
         )
 
 

@@ -47,6 +47,8 @@ class DynamicModel:
             comparison.
         logs: Hash of each log that it was identified from, by
             :func:`~hybrid.identification.preparation.log_hash`.
+        band: Bandwidth of the torque in these logs, [Hz], if a filter had removed what
+            is faster.
     """
 
     robot: Robot
@@ -60,6 +62,7 @@ class DynamicModel:
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     simpler: Mapping[str, DynamicModel] = field(default_factory=dict)
     logs: tuple[str, ...] = ()
+    band: float = np.inf
 
     def __repr__(self) -> str:
         found = ", ".join(dict.fromkeys(effect.id for effect in self.effects))

@@ -130,6 +130,7 @@ def _content(model: DynamicModel) -> dict[str, Any]:
         "inertial": None if model.inertial is None else model.inertial.tolist(),
         "remainder": learned,
         **({"covariance": _packed(model.covariance)} if model.covariance.size else {}),
+        **({"band": model.band} if np.isfinite(model.band) else {}),
     }
 
 
@@ -155,8 +156,10 @@ def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel
         arrays = {name: _array(name, x) for name, x in learned["arrays"].items()}
         remainder = ArmRemainder.from_dict(n, learned["parts"], arrays)
         _check_joints(remainder)
-    if cutoff is not None and not 0 < _real(cutoff) < np.inf:
-        raise ModelFileError(f"cutoff is {cutoff}, valid is a number above 0 or none")
+    band = content.get("band")
+    for name, x in (("cutoff", cutoff), ("band", band)):
+        if x is not None and not 0 < _real(x) < np.inf:
+            raise ModelFileError(f"{name} is {x}, valid is a number above 0 or none")
     links, standing = content["inertial"], content["standing"]
     base, seen = _base(robot, content["base"]), _range(content["range"], n)
     fastest = seen.get("v_max", np.zeros(n))
@@ -170,6 +173,7 @@ def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel
         range=seen,
         inertial=None if links is None else _array("inertial", links, (n, 10)),
         covariance=_covariance(content, base.size),
+        band=np.inf if band is None else band,
     )
 
 

@@ -136,14 +136,17 @@ class OnlineIdentifier:
     def from_model(
         cls, model: DynamicModel, *, rate: float, prior: float = 0.05
     ) -> OnlineIdentifier:
-        """Start from an identified model; its learned remainder is left out."""
+        """Start from an identified model; its learned remainder is left out.
+
+        Torque is expected from the same logger, which may have filtered it.
+        """
         inertial = model.base.standard()[: 10 * model.robot.size]
         return cls(
             model.robot,
             model.effects,
             rate=rate,
             inertial=inertial.reshape(-1, 10),
-            cutoff=min(model.cutoff, 10.0),
+            cutoff=min(model.cutoff, model.band, 10.0),
             prior=prior,
             shape_prior=0.0,
             standing=model.standing if model.standing.size else None,
