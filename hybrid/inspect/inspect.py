@@ -12,7 +12,11 @@ from hybrid.inspect.coverage import (
 from hybrid.inspect.doubt import Doubt, raise_or_warn
 from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import Inspection, clock_of
-from hybrid.inspect.physics import doubts_of_magnitude, doubts_of_physics
+from hybrid.inspect.physics import (
+    doubts_of_filter,
+    doubts_of_magnitude,
+    doubts_of_physics,
+)
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import doubts_of_samples
 from hybrid.inspect.scale import doubts_of_scale
@@ -65,6 +69,7 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
         joints = coverage_of(longest, state, robot.chain if robot else None)
         if robot is not None and recording.has_torque:
             excitation = excitation_of(robot.chain, state)
+        doubts += tuple(doubts_of_filter(longest, robot))
     doubts += tuple(doubts_of_lags(joints))
     return Inspection(recording, clock_of(recording), joints, excitation, doubts)
 

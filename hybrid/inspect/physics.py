@@ -29,6 +29,8 @@ from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
+from hybrid.signals import choose_cutoff, motion_from_recording
+from hybrid.signals.bandwidth import FILTERED, torque_bandwidth
 
 _LEAST_GAIN = 0.5  # no other reading of a right log reached 0.3
 _SPLITS = 2, 4, 8  # blocks, of which every other one is not seen
@@ -44,6 +46,8 @@ _MOST_FAULTS = 4  # of one log
 _NEAR_ZERO = 0.1  # of the largest torque: a torque that is always larger has one sign
 _DRY = 0.3  # of the mean torque
 _SIGN_ROUNDS = 8  # alternating estimates of signs and torques
+_SAMPLES = 12.0  # in a period of the cut-off
+_RANK = 1e-6  # smallest singular value, over the largest
 
 
 class _Readings:
@@ -132,6 +136,29 @@ def doubts_of_magnitude(
         )
         remedy = "valid is a torque with its sign"
         yield Doubt("tau", (j,), text, remedy, "error", float(np.exp(gain[j])))
+
+
+def doubts_of_filter(recording: Recording, robot: Robot | None) -> Iterator[Doubt]:
+    """Find torque that was low-pass filtered before it was logged.
+
+    It has less power at high frequencies than a fit of links, rotors and friction.
+    """
+    if robot is None or not recording.has_torque:
+        return
+    motion, cutoff = motion_from_recording(recording), choose_cutoff(recording)
+    few = slice(None, None, max(1, int(motion.rate / (_SAMPLES * cutoff))))
+    q, v, a, tau = (x[few] for x in (motion.q, motion.v, motion.a, motion.tau))
+    Y, model = regressor(robot.chain, q, v, a), np.zeros_like(tau)
+    for j in range(robot.size):
+        own = a[:, j], v[:, j], np.sign(v[:, j]), np.ones(len(v))
+        X = np.column_stack([Y[:, j], *own])
+        size = np.maximum(np.linalg.norm(X, axis=0), 1e-12)
+        model[:, j] = X / size @ np.linalg.lstsq(X / size, tau[:, j], rcond=_RANK)[0]
+    rate = (len(q) - 1) / (motion.t[few][-1] - motion.t[0])
+    band = torque_bandwidth([(tau, model)], rate, cutoff)
+    if band < np.inf:
+        remedy = "valid is torque as it was measured"
+        yield Doubt("tau", (), FILTERED.format(band), remedy)
 
 
 def doubts_of_physics(

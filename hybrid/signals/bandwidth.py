@@ -14,6 +14,7 @@ FILTERED = (
 )
 _LEFT = 0.25  # of the model's power: a filter's gain is one half at its cut-off
 _REMOVED = 0.01  # of the model's power: no noise or missing effect leaves so little
+_NOTICED = 1e-4  # of the model's power, that a filter removes: 1 % of its RMS
 _SECONDS = 4.0  # of a segment
 
 
@@ -45,10 +46,14 @@ def torque_bandwidth(
     moves = np.any(modelled > 0, axis=0)
     if not moves.any():
         return np.inf
-    ratio = np.median(logged[:, moves] / np.maximum(modelled[:, moves], 1e-300), axis=1)
-    f, ratio = f[f <= cutoff], ratio[f <= cutoff]
+    seen = f <= cutoff
+    logged, modelled = logged[seen][:, moves], modelled[seen][:, moves]
+    f, ratio = f[seen], np.median(logged / np.maximum(modelled, 1e-300), axis=1)
     passed = np.flatnonzero(ratio >= _LEFT)
     if not len(passed) or np.median(ratio[3 * len(f) // 4 :]) >= _REMOVED:
+        return np.inf
+    missing = modelled[passed[-1] + 1 :].sum(axis=0) / modelled.sum(axis=0)
+    if np.median(missing) < _NOTICED:
         return np.inf
     edge = slice(int(passed[-1]), int(passed[-1]) + 2)
     return float(np.interp(0.0, np.log(_LEFT / ratio[edge]), f[edge]))
