@@ -691,10 +691,10 @@ def test_identifiable_is_what_differs_from_zero_by_two_standard_errors(noise):
         pendulum().chain, State(m.q, m.v, m.a, m.tau, None, none, none)
     )
     q, v, a = m.q[:, 0], m.v[:, 0], m.a[:, 0]
-    dry = np.tanh(v / (0.02 * np.abs(v).max()))
     columns = {
-        "Ia_1": a, "Fv_1": v, "Fc_1": dry, "offset_1": np.ones_like(q),
-        "mx_1": np.cos(q), "mz_1": np.sin(q),
+        "Iyy_1": a, "mx_1": np.cos(q), "mz_1": np.sin(q),
+        "viscous.coefficient[hinge_0]": v, "coulomb.level[hinge_0]": np.sign(v),
+        "torque_offset.level[hinge_0]": np.ones_like(q),
     }  # fmt: skip
     X = np.stack(list(columns.values()), axis=1)
     unit = X / np.linalg.norm(X, axis=0)

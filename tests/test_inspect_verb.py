@@ -91,8 +91,8 @@ def test_what_a_motion_does_not_excite_is_untold():
     q, tau = log().q.copy(), log().tau.copy()
     q[:, -1] = q[0, -1]
     rests = inspect_recording(replace(log(), q=q, v=None, tau=tau), arm())
-    last = arm().size
-    for name in (f"Fv_{last}", f"Fc_{last}"):
+    last = arm().joints[-1]
+    for name in (f"viscous.coefficient[{last}]", f"coulomb.level[{last}]"):
         assert name in rests.excitation.untold
         assert name in moving.names
     assert moving.condition < 1000 < rests.excitation.condition

@@ -12,15 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.dynamics.base import base_parameters, inertial_labels
-from hybrid.dynamics.regressor import regressor
-from hybrid.dynamics.stacked import rich_motion
+from hybrid.dynamics import effect_gains, stacked_base, stacked_columns
+from hybrid.effects.armature import Armature
+from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.viscous import Viscous
 from hybrid.inspect.doubt import Doubt
-from hybrid.inspect.masses import CREEP, smooth_sign
+from hybrid.inspect.masses import CREEP
 from hybrid.inspect.samples import resolution
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
+from hybrid.signals import Motion
 from hybrid.signals.autocorrelation import autocorrelation_time
 from hybrid.statistics import HALF_WIDTH
 
@@ -29,7 +32,6 @@ _BLIND = 0.01  # share of a parameter in directions without torque
 _LONGEST_LAG = 0.5  # s, of a servo behind its command
 _EARLY = 0.02  # s, by which a position clearly precedes its command
 _MOST_ROWS = 100_000  # of a log that are compared at each lag
-_DRIVES = ("Ia", "Fv", "Fc", "offset")
 
 
 @dataclass(frozen=True)
@@ -155,27 +157,15 @@ def _fit(columns: Array, tau: Array) -> tuple[Array, Array]:
 
 def _base_columns(chain: Chain, state: State) -> tuple[tuple[str, ...], Array]:
     """Names of the base parameters, and their columns at each joint, (n, M, b)."""
-    n = chain.size
-    drives = [f"{x}_{k + 1}" for k in range(n) for x in _DRIVES]
-    labels = [*inertial_labels(n)[0], *drives]
-    rich = rich_motion(chain)
-    # Of dependent columns the first is kept: rotors and friction before links.
-    order = [*range(10 * n, len(labels)), *range(10 * n)]
-    stacked = _columns(chain, rich.q, rich.v, rich.a)[:, :, order]
-    named = tuple(labels[k] for k in order)
-    base = base_parameters(stacked.reshape(-1, len(order)), named, ("",) * len(order))
-    kept = [order[k] for k in base.kept]
-    return base.kept_labels, _columns(chain, state.q, state.v, state.a)[:, :, kept]
-
-
-def _columns(chain: Chain, q: Array, v: Array, a: Array) -> Array:
-    """Torque per unit of each inertial and drive parameter, shape (n, M, 14n)."""
-    n, each = chain.size, np.arange(chain.size)
-    drive = np.zeros((n, len(q), n, len(_DRIVES)))
-    own = np.stack([a, v, smooth_sign(v), np.ones_like(v)], axis=-1)  # (M, n, 4)
-    drive[each, :, each] = own.transpose(1, 0, 2)
-    rigid = regressor(chain, q, v, a).transpose(1, 0, 2)
-    return np.concatenate([rigid, drive.reshape(n, len(q), -1)], axis=2)
+    laws = Armature, Viscous, Coulomb, TorqueOffset
+    effects = [law((j,)) for j in range(chain.size) for law in laws]
+    gains = effect_gains(effects)
+    base, t = stacked_base(chain, effects, gains), np.arange(float(len(state.q)))
+    motion = Motion(
+        t, state.q, state.v, state.a, state.tau, np.ones(len(t), dtype=bool)
+    )
+    columns = stacked_columns(chain, effects, gains, motion)
+    return base.kept_labels, columns[:, :, list(base.kept)].swapaxes(0, 1)
 
 
 def _lag(command: Array, q: Array, most: int) -> int:
