@@ -96,8 +96,10 @@ def measure(q: Array, noise: float, outliers: float, seed: int) -> Measurements:
 
 def arms(q: Array, x: Array) -> Frame:
     """Flange of P arms with errors x, shape (P, 24), in N poses."""
-    values = dict(zip(LABELS, x.T, strict=True))
-    return MODEL.frames(q, values, batch=(len(x),))[0]
+    values = (dict(zip(LABELS, row, strict=True)) for row in x.tolist())
+    found = [MODEL.frames(q, each)[0] for each in values]
+    rotation, origin = ([getattr(f, k) for f in found] for k in ("rotation", "origin"))
+    return Frame(np.array(rotation), np.array(origin))
 
 
 def pose_errors(x: Array, data: Measurements) -> tuple[Array, Array]:

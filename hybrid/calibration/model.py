@@ -58,17 +58,10 @@ class KinematicModel:
         return found | ({"scale": ""} if self.stations else {})
 
     def frames(
-        self,
-        q: Array,
-        values: Values,
-        load: Array | None = None,
-        batch: tuple[int, ...] = (),
+        self, q: Array, values: Values, load: Array | None = None
     ) -> list[Frame]:
-        """Frame at the end of each tool, see :func:`follow`.
-
-        ``batch`` is (P,) if the values are arrays of that shape.
-        """
-        flange = follow(start(q, batch), self.steps, q, values, load)
+        """Frame at the end of each tool, see :func:`follow`."""
+        flange = follow(start(q), self.steps, q, values, load)
         return [follow(flange, tool, q, values, load) for tool in self.tools]
 
     def blocks(

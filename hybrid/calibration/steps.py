@@ -12,7 +12,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 
-Values = Mapping[str, float | Array]
+Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,10 @@ class Frame:
     """The frame after a product of factors, for N samples.
 
     Attributes:
-        rotation: Shape (..., N, 3, 3).
-        origin: Shape (..., N, 3), [m].
+        rotation: Shape (N, 3, 3).
+        origin: Shape (N, 3), [m].
         twists: Derivative by each parameter of the factors, by name: velocity of the
-            point at the first frame's origin, then rotation, shape (..., N, 6).
+            point at the first frame's origin, then rotation, shape (N, 6).
     """
 
     rotation: Array
@@ -76,11 +76,9 @@ class Frame:
     twists: Mapping[str, Array] = field(default_factory=dict)
 
 
-def start(q: Array, batch: tuple[int, ...] = ()) -> Frame:
+def start(q: Array) -> Frame:
     """The frame before the first factor, for samples of q, shape (N, n)."""
-    shape = (*batch, len(q))
-    rotation = np.broadcast_to(np.eye(3), (*shape, 3, 3)).copy()
-    return Frame(rotation, np.zeros((*shape, 3)))
+    return Frame(np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3)))
 
 
 def follow(
@@ -92,9 +90,8 @@ def follow(
 ) -> Frame:
     """The frame after more factors, at joint positions q (N, n), [rad or m].
 
-    Parameters without a value are zero. Values of shape (P,) are those of P arms, if
-    ``frame`` has that batch. Each joint has a load, shape (N, n); without it, steps
-    with a load are left out.
+    Parameters without a value are zero. Each joint has a load, shape (N, n); without
+    it, steps with a load are left out.
     """
     R, origin, twists = frame.rotation, frame.origin, dict(frame.twists)
     for step in steps:
@@ -110,10 +107,9 @@ def follow(
             way = axis * np.asarray(rate)[..., None]
             both = (np.cross(origin, way), way) if step.turns else (way, 0 * way)
             twists[step.parameter] = np.concatenate(both, axis=-1)
-        value = np.asarray(values.get(step.parameter, 0.0), dtype=float)
-        size = step.nominal + value[..., None] * rate
+        size = np.full(len(q), step.nominal) + values.get(step.parameter, 0.0) * rate
         if step.joint is not None:
-            size = size + q[:, step.joint]
+            size += q[:, step.joint]
         if step.turns:
             R = _turned(R, step.axis, size)
         else:
