@@ -77,7 +77,7 @@ def measured(plan: Plan, arms: int, workers: int) -> Cost:
     start = process_time(), time()
     try:
         found = fleet(some, folder, workers=workers)
-        stored = _size(folder / "units", "*.parquet")
+        stored = _size(folder / "units", "*.json")
         model = _size(folder / "units", "*.json") / arms
     finally:
         shutil.rmtree(folder)

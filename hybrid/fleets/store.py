@@ -14,6 +14,7 @@ from hybrid.fleets.plan import FIRST, ArmPlan, Logs, Plan, Unit, opened, periods
 from hybrid.fleets.run import answers
 from hybrid.fleets.worker import LATE, LOST, REFUSED, VERDICT
 from hybrid.progress import Progress
+from hybrid.shown import plain
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -39,34 +40,19 @@ class Store:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def rows(self, key: str) -> list[dict[str, Any]] | None:
-        """Rows of a unit; None if there is no file, or a damaged one."""
-        import pyarrow as pa
-        from pyarrow.parquet import ParquetFile
-
+    def get(self, key: str) -> Any:
+        """Stored content; None if there is no file, or a damaged one."""
         try:
-            with ParquetFile(self._path(key)) as file:
-                return list(file.read(use_threads=False).to_pylist())
-        except (OSError, pa.ArrowException):
-            return None
-
-    def put(self, key: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Store rows in one step."""
-        write_rows(self._path(key), rows)
-
-    def baseline(self, key: str) -> dict[str, Any] | None:
-        """The stored result of a baseline, or None."""
-        try:
-            return dict(read_json(self._path(key, ".json")))
+            return read_json(self._path(key))
         except (OSError, ValueError):
             return None
 
-    def put_baseline(self, key: str, content: Mapping[str, Any]) -> None:
-        """Store a baseline in one step."""
-        write_json(self._path(key, ".json"), content)
+    def put(self, key: str, content: Any) -> None:
+        """Store content in one step."""
+        write_json(self._path(key), content)
 
-    def _path(self, key: str, suffix: str = ".parquet") -> Path:
-        return self._folder / key[:2] / f"{key}{suffix}"
+    def _path(self, key: str) -> Path:
+        return self._folder / key[:2] / f"{key}.json"
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -90,7 +76,7 @@ def run_plan(
     """
     found, todo = [], []
     for unit, baseline in _units(plan, store, client, progress):
-        rows = store.rows(unit.key) or store.rows(_late_unit(unit, plan).key)
+        rows = store.get(unit.key) or store.get(_late_unit(unit, plan).key)
         if baseline.text is None:
             rows = _failed(unit, REFUSED, baseline.reason)
         if rows is None:
@@ -134,7 +120,8 @@ def _failed(unit: Unit, failed: str, reason: str) -> list[dict[str, Any]]:
 
 def _labelled(unit: Unit, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     own = {"arm": unit.arm, "period": unit.period, "day": unit.day}
-    return [{**dict.fromkeys((*_TEXT, *_NUMBERS)), **row, **own} for row in rows]
+    every = dict.fromkeys((*_TEXT, *_NUMBERS))
+    return [plain({**every, **row, **own}) for row in rows]
 
 
 def _message(unit: Unit) -> dict[str, Any]:
@@ -182,14 +169,14 @@ def _baselines(
             found[arm.name] = _Baseline(key, text, "")
             continue
         unit, message = _baseline_unit(arm, logs[arm.name])
-        content = store.baseline(unit.key)
+        content = store.get(unit.key)
         if content is None:
             todo.append((unit, message, None))
         else:
             found[arm.name] = _baseline_from(unit.key, content)
     for unit, content in _answered(client, todo, plan, progress, "baselines"):
         if "failed" not in content:
-            store.put_baseline(unit.key, content)
+            store.put(unit.key, content)
         found[unit.arm] = _baseline_from(unit.key, content)
     return found
 
