@@ -103,11 +103,9 @@ def check_recordings(recordings: Sequence[Recording], robot: Robot) -> list[Reco
 def _checked(
     recording: Recording, robot: Robot | None
 ) -> tuple[list[Doubt], Recording, State | None]:
-    """Check a log without gaps.
+    """Doubts about a log without gaps, it on a uniform clock, and its filtered state.
 
-    Returns:
-        Doubts; the log on a uniform clock, and its filtered state. If samples are
-        wrong, the log as it is, and no state.
+    If samples are wrong, it is the log as it is, and there is no state.
     """
     doubts: list[Doubt] = []
     for check_samples in _SAMPLE_CHECKS:

@@ -80,9 +80,8 @@ def speeds_confirm_clock(state: State) -> bool:
 def _compared(state: State) -> tuple[NDArray[np.intp], Array, Array]:
     """Compare measured speeds with derivatives of positions at k moving joints.
 
-    Returns:
-        The joints, (k,); factor of each speed to its derivative, (k,); correlation of
-        each speed with every derivative, (k, k).
+    These, (k,), factors of speeds to their derivatives, (k,), and the correlation of
+    each speed with every derivative, (k, k).
     """
     logged = np.zeros_like(state.v) if state.logged is None else state.logged
     moves = (np.ptp(state.q, axis=0) > _MOVES) & (np.ptp(logged, axis=0) > 0)

@@ -134,11 +134,7 @@ def _numbers(chunk: Any, kind: str) -> NDArray[Any]:
 
 
 def _rows(text: _Text, kinds: Mapping[int, str]) -> NDArray[Any]:
-    """Load all rows by NumPy; one character stands for a cell that is not used.
-
-    Raises:
-        ValueError: NumPy's words on the first bad row or cell.
-    """
+    """Load all rows by NumPy; ``ValueError`` has its words on the first bad one."""
     dates: dict[str, Callable[[str], Any]] = {_DATES: _date}
     try:
         return _loaded(text, kinds, dates)
