@@ -734,7 +734,7 @@ class TestInterrupt:
             signal.raise_signal(signal.SIGTERM)
 
         monkeypatch.setattr(
-            sys.modules["hybrid.plant.folder"], "write_json", terminated
+            sys.modules["hybrid.plant.simulate"], "write_json", terminated
         )
         before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
         try:
@@ -756,7 +756,7 @@ class TestInterrupt:
             run(f"{simulate}")
         before = tree(tmp_path)
         monkeypatch.setattr(
-            sys.modules["hybrid.plant.folder"], "write_json", interrupted
+            sys.modules["hybrid.plant.simulate"], "write_json", interrupted
         )
         complaint(capsys, f"{simulate} --seed 1", code=130)
         assert tree(tmp_path) == before

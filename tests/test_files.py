@@ -20,7 +20,7 @@ from hybrid.files import (
     read_yaml,
     write_json,
 )
-from hybrid.plant.folder import write_run
+from hybrid.plant.simulate import write_run
 from hybrid.recording import Recording, read_all
 
 needs_fork = pytest.mark.skipif(

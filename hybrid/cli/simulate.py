@@ -7,7 +7,7 @@ from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import warn
 from hybrid.plant import simulate
-from hybrid.plant.folder import TRUTH, content_from_plant, recording_paths, write_run
+from hybrid.plant.simulate import TRUTH, content_from_plant, recording_paths, write_run
 from hybrid.recording.formats import kind_of
 from hybrid.recording.write import writer_of
 
