@@ -8,10 +8,12 @@ from test_gmr import random_mixture, sample
 
 from hybrid.compensator import GaussianMixtureRegression, gmr_fit
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
-from hybrid.compensator.checks import check_matrix, check_pair, draw
+from hybrid.compensator.gmr import check_matrix
 from hybrid.compensator.gmr_fit import (
     _usable,
+    check_pair,
     choose_components,
+    draw,
     fit_gmr,
     predictive_log_likelihood,
 )

@@ -29,8 +29,8 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.errors import RecordingError
-from hybrid.model.declared import declared_effects
 from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.plant.joint_fields import declared_effects
 from hybrid.plant.rollout import _before_report
 from hybrid.recording import Recording
 from hybrid.robot import Robot

@@ -39,8 +39,8 @@ from hybrid.exports import build_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.exports.simulator.friction import approximate_friction, curve
 from hybrid.exports.simulator.plan import plan
-from hybrid.model.declared import declared_effects
 from hybrid.plant import Plant, install, simulate
+from hybrid.plant.joint_fields import declared_effects
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator
 

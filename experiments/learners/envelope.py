@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_matrix
-from hybrid.compensator.gmr import FARTHEST
+from hybrid.compensator.gmr import FARTHEST, check_matrix
 from hybrid.compensator.gmr_fit import fit_gmr
 from hybrid.errors import HybridError, ModelFileError
 

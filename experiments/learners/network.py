@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_pair, draw
+from hybrid.compensator.gmr_fit import check_pair, draw
 from hybrid.errors import HybridError, ModelFileError
 from hybrid.extras import check_extra
 from learners.envelope import LOG_VARIANCE, Envelope

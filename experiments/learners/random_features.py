@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_pair, draw
+from hybrid.compensator.gmr_fit import check_pair, draw
 from hybrid.errors import ModelFileError
 from learners.envelope import Envelope
 

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator import GaussianMixtureRegression
-from hybrid.compensator.checks import check_matrix, check_pair
+from hybrid.compensator.gmr import check_matrix
+from hybrid.compensator.gmr_fit import check_pair
 from hybrid.errors import HybridError, ModelFileError
 
 

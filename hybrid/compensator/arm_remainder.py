@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_matrix
-from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.compensator.gmr import GaussianMixtureRegression, check_matrix
 from hybrid.dynamics import Law, Tape
 from hybrid.errors import ModelFileError
 

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_matrix
 from hybrid.errors import HybridError, ModelFileError
 
 _ROWS = 4096  # samples at a time, which stay in the cache
@@ -268,3 +267,22 @@ def _soft_minimum(distance: Sequence[Any]) -> tuple[Any, list[Any]]:
 def _dot(factors: Array, values: Iterable[Any]) -> Any:
     """Sum of products of numbers with scalars."""
     return sum(x * y for x, y in zip(factors.tolist(), values, strict=True))
+
+
+def check_matrix(name: str, values: ArrayLike, columns: int | None = None) -> Array:
+    """``values`` as a finite float64 matrix of ``columns`` columns.
+
+    Raises:
+        HybridError: The shape is wrong, or a number is not finite.
+    """
+    matrix = np.asarray(values, dtype=np.float64)
+    if matrix.ndim != 2 or columns not in (None, matrix.shape[1]):
+        wanted = "any" if columns is None else columns
+        raise HybridError(f"{name} has shape {matrix.shape}, valid is (N, {wanted})")
+    if not np.isfinite(matrix).all():
+        row, column = np.argwhere(~np.isfinite(matrix))[0]
+        raise HybridError(
+            f"{name} is {matrix[row, column]} at row {row}, column {column}; "
+            "valid are finite numbers"
+        )
+    return matrix

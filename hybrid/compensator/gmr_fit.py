@@ -10,8 +10,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
 from hybrid.arrays import Array
-from hybrid.compensator.checks import check_pair, draw
-from hybrid.compensator.gmr import GaussianMixtureRegression
+from hybrid.compensator.gmr import GaussianMixtureRegression, check_matrix
 from hybrid.errors import HybridError, IdentificationError
 
 TRUSTED_SHARE = 0.995  # of the training samples, within the start of the fade
@@ -172,3 +171,31 @@ def _build(
     seen = float(np.quantile(model.distance(x), TRUSTED_SHARE))
     start = max(seen, 1.0)
     return replace(model, fade=np.array([start, FADE_RATIO * start]))
+
+
+def check_pair(
+    x: ArrayLike, y: ArrayLike, *, columns: tuple[int | None, int | None] = (None, None)
+) -> tuple[Array, Array]:
+    """Inputs and outputs as finite matrices with equal numbers of rows.
+
+    Raises:
+        HybridError: The shapes are wrong, or a number is not finite.
+    """
+    inputs = check_matrix("x", x, columns[0])
+    outputs = check_matrix("y", y, columns[1])
+    if len(inputs) != len(outputs) or 0 in (inputs.size, outputs.size):
+        raise HybridError(
+            f"x has shape {inputs.shape} and y {outputs.shape}, "
+            "valid are equal numbers of rows and at least one column each"
+        )
+    return inputs, outputs
+
+
+def draw(
+    x: Array, y: Array, size: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Draw at most ``size`` rows without replacement, in their order."""
+    if len(x) <= size:
+        return x, y
+    rows = np.sort(rng.choice(len(x), size, replace=False))
+    return x[rows], y[rows]

@@ -18,7 +18,7 @@ from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError, warn
 from hybrid.inspect import check_recordings
-from hybrid.model.declared import declared_effects
+from hybrid.plant.joint_fields import declared_effects
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import CrossProducts, accumulate
 from hybrid.regression.data import Data, fastest

@@ -1,4 +1,4 @@
-"""Conversion between effects and the fields of a simulator's joint."""
+"""Conversion between effects and the fields of a simulator's joint, or a robot file."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -77,6 +77,15 @@ def effects_of_fields(values: Mapping[str, Array]) -> Iterator[Effect]:
             }
             if any(own.values()):
                 yield cls((j,), own)
+
+
+def declared_effects(robot: Robot) -> list[Effect]:
+    """Rotors, couplings, friction, ripple and springs of a robot file as effects."""
+    names = "damping", "frictionloss", "quadratic", "cubic", "stiffness"
+    values = {name: getattr(robot, name) for name in names}
+    values["armature"] = robot.chain.armature
+    values["preload"] = -robot.stiffness * robot.springref
+    return [*effects_of_fields(values), *curves(robot), *couplings(robot.coupled)]
 
 
 def curves(robot: Robot) -> list[Effect]:

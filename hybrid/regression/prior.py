@@ -16,7 +16,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects import Scale
-from hybrid.model.declared import declared_effects
+from hybrid.plant.joint_fields import declared_effects
 from hybrid.regression.problem import Problem
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain

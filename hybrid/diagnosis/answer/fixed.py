@@ -17,7 +17,7 @@ from hybrid.effects import Effect
 from hybrid.exports.simulator.simulator import build_simulator
 from hybrid.identification import DynamicModel
 from hybrid.identification.preparation import standing_speed
-from hybrid.model.declared import declared_effects
+from hybrid.plant.joint_fields import declared_effects
 from hybrid.regression.data import visited
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator

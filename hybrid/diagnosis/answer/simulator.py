@@ -11,7 +11,7 @@ from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.explanations.physical import is_physical, nearest_physical
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import Effect
-from hybrid.model.declared import declared_effects
+from hybrid.plant.joint_fields import declared_effects
 from hybrid.robot import Robot
 
 _NUMBERS = "damping", "frictionloss", "quadratic", "cubic", "stiffness"  # of a file

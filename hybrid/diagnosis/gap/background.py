@@ -13,7 +13,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Columns, Gap, stacked
 from hybrid.effects import Port, effect_at, effect_classes
-from hybrid.model.declared import declared_effects
+from hybrid.plant.joint_fields import declared_effects
 from hybrid.robot.spatial import link_spread
 
 _Blocks = tuple[list[Columns], list[Array]]

@@ -19,10 +19,10 @@ from hybrid.exports.simulator.friction import (
     is_friction,
     typical_motion,
 )
-from hybrid.model.declared import declared_effects
 from hybrid.plant.arm import overrides
 from hybrid.plant.joint_fields import (
     coupled_rows,
+    declared_effects,
     effects_of_fields,
     fall,
     knee,
