@@ -199,6 +199,11 @@ def test_text_in_an_ignored_column_does_no_harm(tmp_path):
         "t\tq1\ttau1\n0\t1.5\t2\n0.1\t2\t3\n",
         '"t", "q1", "tau1"\n0, 1.5, 2\n0.1, 2, 3\n',
         "t,q1,tau1\n0,1.5e0,+2\n1E-1,2.,3\n",
+        "# t,q1,tau1\n0,1.5,2\n0.1,2,3\n",  # as numpy.savetxt writes
+        "# arm 3\n#t q1 tau1\n0 1.5 2\n0.1 2 3\n",
+        "# arm 3\n# morning, cold\nt,q1,tau1\n0,1.5,2\n0.1,2,3\n",
+        "t,q1,tau1\ns,rad,Nm\n0,1.5,2\n0.1,2,3\n",
+        "#\nt;q1;tau1\r\n[ms];;(mN*m)\r\n0;1,5;2e3\r\n100;2;3e3\r\n",
     ],
 )
 @pytest.mark.parametrize("installed", [True, False])
