@@ -50,9 +50,7 @@ class Shown:
             HybridError: pandas is not installed.
         """
         check_extra("pandas", "frames", "A data frame")
-        import pandas
-
-        return pandas.DataFrame(_views().rows(self))
+        return _views().frame(self)
 
 
 def plain(x: Any) -> Any:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,6 +20,7 @@ from hybrid.excitation import Design
 from hybrid.identification import Fit
 from hybrid.identification.validation import Validation
 from hybrid.inspect import Inspection
+from hybrid.inspect.coverage import JointCoverage
 from hybrid.names import figure_text
 from hybrid.report.calibration import corrections_table
 from hybrid.report.fit import held_out_table
@@ -55,9 +56,12 @@ def plot(result: Any, ax: Axes | None = None) -> Axes:
     return axes
 
 
-def rows(result: Any) -> list[dict[str, Any]]:
-    """A result as rows of a data frame, in SI units."""
-    return _VIEWS[type(result)].rows(result)
+def frame(result: Any) -> Any:
+    """A result as a data frame in SI units; without rows, it has its columns."""
+    import pandas
+
+    view = _VIEWS[type(result)]
+    return pandas.DataFrame(view.rows(result), columns=view.columns)
 
 
 def write_page(result: Any, path: str | Path) -> None:
@@ -81,11 +85,15 @@ def _cell(x: Any) -> str:
 
 
 class View(NamedTuple):
-    """How a kind of result shows itself: a table, rows in SI units, and a picture."""
+    """How a kind of result shows itself: a table, rows in SI units, and a picture.
+
+    ``columns`` are the names of its rows where there may be none.
+    """
 
     table: Callable[[Any], Table]
     rows: Callable[[Any], list[dict[str, Any]]]
     draw: Callable[[Any, Axes], None]
+    columns: Sequence[str] | None = None
 
 
 def _fit_rows(fit: Fit) -> list[dict[str, Any]]:
@@ -210,15 +218,20 @@ def _diagnosis_table(diagnosis: Diagnosis) -> Table:
     return Table(header, lines, caption, words=True)
 
 
+_FOUND = (
+    "effect", "probability", "joint", "parameter", "value", "unit", "low", "high",
+    "determined",
+)  # fmt: skip
+
+
 def _diagnosis_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    return [
-        {"effect": x.effect, "probability": x.probability, "joint": value.joint,
-         "parameter": value.name, "value": value.value, "unit": value.unit,
-         "low": value.interval[0], "high": value.interval[1],
-         "determined": value.determined}
+    rows = [
+        (x.effect, x.probability, y.joint, y.name, y.value, y.unit, *y.interval,
+         y.determined)
         for x in diagnosis.findings
-        for value in x.parameters
+        for y in x.parameters
     ]  # fmt: skip
+    return [dict(zip(_FOUND, row, strict=True)) for row in rows]
 
 
 def _draw_diagnosis(diagnosis: Diagnosis, ax: Axes) -> None:
@@ -260,8 +273,11 @@ _VIEWS = {
     Design: View(_design_table, _design_rows, _draw_design),
     Calibration: View(corrections_table, _calibration_rows, _draw_calibration),
     Inspection: View(
-        _inspection_table, lambda x: list(x.as_dict()["joints"]), _draw_inspection
+        _inspection_table,
+        lambda x: list(x.as_dict()["joints"]),
+        _draw_inspection,
+        [x.name for x in fields(JointCoverage)],
     ),
     ServoFit: View(_servos_table, _servos_rows, _draw_servos),
-    Diagnosis: View(_diagnosis_table, _diagnosis_rows, _draw_diagnosis),
+    Diagnosis: View(_diagnosis_table, _diagnosis_rows, _draw_diagnosis, _FOUND),
 }

@@ -25,10 +25,11 @@ def test_joints_go_by_number_or_by_name(tmp_path):
     assert a.kind == "position"
 
 
-def test_units_in_brackets_become_metres_and_radians(tmp_path):
-    data = read(
-        tmp_path, "q1 [deg],q2 (rad),x [mm],y [m],z[mm]", "180,1,1000,2,3", "0,0,0,0,0"
-    )
+@pytest.mark.parametrize(
+    "labels", ["q1 [deg],q2 (rad),x [mm],y [m],z[mm]", "q1/deg,q2,x / mm,y/m,z /mm"]
+)
+def test_units_become_metres_and_radians(tmp_path, labels):
+    data = read(tmp_path, labels, "180,1,1000,2,3", "0,0,0,0,0")
     np.testing.assert_allclose(data.q[0], [np.pi, 1.0])
     np.testing.assert_allclose(data.position[0, 0], [1.0, 2.0, 0.003])
 

@@ -590,6 +590,7 @@ BAD_MODELS = {
     "validate --model {OUT}.json --recordings {FIT}": "out.json: cannot be read",
     "validate --model {FIT}/truth.json --recordings {FIT}": "schema",
     "validate --model {DAMAGED} --recordings {FIT}": "damaged",
+    "validate --model {COMAN} --recordings {FIT}": "a robot file, not a saved model",
     "validate --model {LIST} --recordings {FIT}": "is [1, 2], not a saved model",
     "validate --model {EDITED} --recordings {FIT}": "edited.json: damaged or edited",
     "validate --model {CUT} --recordings {FIT}": "cut.json: damaged",

@@ -107,9 +107,10 @@ def test_the_weight_of_links_is_their_torque_at_rest(seed):
     np.testing.assert_allclose(body.weight(gravity), at_rest, atol=1e-9)
     np.testing.assert_allclose(body.weight(2 * gravity), 2 * at_rest, atol=1e-9)
     np.testing.assert_array_equal(body.gravity, gravity)
+    links = [body.link_columns(link) for link in range(robot.size)]
+    assert "columns" not in vars(body)  # those of all links stay in memory
     columns = body.columns
-    for link in range(robot.size):
-        own = body.link_columns(link)
+    for link, own in enumerate(links):
         assert own.shape == (30, robot.size, 10)
         np.testing.assert_array_equal(own, columns[:, :, 10 * link : 10 * link + 10])
     np.testing.assert_allclose(

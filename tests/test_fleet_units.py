@@ -21,12 +21,14 @@ from hybrid.fleets.estimate import (
     deviations,
     followed,
 )
+from hybrid.fleets.fleet import Fleet
 from hybrid.fleets.plan import ArmPlan, Plan, periods, read_plan
 from hybrid.fleets.store import Store, run_plan
 from hybrid.fleets.worker import LATE, LOST, REFUSED
 from hybrid.identification import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
+from hybrid.report.fleet import diagnoses_table
 
 DAYS = {"2026-01-05": "W02", "2026-01-06": "W02", "2026-02-02": "W06"}
 
@@ -115,6 +117,14 @@ def test_a_diagnosis_is_a_unit_of_its_own(arm, tmp_path, known):
         for week in ("2026-W02", "2026-W06")
         for task in ("diagnosis", "period")
     ]
+
+
+def test_a_diagnosis_that_failed_is_a_verdict_with_its_reason(arm, tmp_path, known):
+    known.said.clear()
+    known.said.update(failed=REFUSED, reason="logs/a_b.csv: no torques")
+    rows, _ = run(arm, tmp_path, diagnose=True)
+    table = diagnoses_table(Fleet(rows, (), (), 1.0, 1.0))
+    assert table.rows == (("a", "2026-W06", "refused", "logs/a_b.csv: no torques"),)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from hybrid.errors import HybridError, HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, recording_from_table, write
 from hybrid.recording.formats.csv import read_csv
 from hybrid.recording.formats.ros import _defined, _frame_size
-from hybrid.recording.labels import parse_label
+from hybrid.recording.labels import parse_label, split_unit
 
 # import_module, because the package exports the function of the same name
 WRITERS = import_module("hybrid.recording.write").WRITERS
@@ -199,6 +199,11 @@ def test_text_in_an_ignored_column_does_no_harm(tmp_path):
         "t\tq1\ttau1\n0\t1.5\t2\n0.1\t2\t3\n",
         '"t", "q1", "tau1"\n0, 1.5, 2\n0.1, 2, 3\n',
         "t,q1,tau1\n0,1.5e0,+2\n1E-1,2.,3\n",
+        "# t,q1,tau1\n0,1.5,2\n0.1,2,3\n",  # as numpy.savetxt writes
+        "# arm 3\n#t q1 tau1\n0 1.5 2\n0.1 2 3\n",
+        "# arm 3\n# morning, cold\nt,q1,tau1\n0,1.5,2\n0.1,2,3\n",
+        "t,q1,tau1\ns,rad,Nm\n0,1.5,2\n0.1,2,3\n",
+        "#\nt;q1;tau1\r\n[ms];;(mN*m)\r\n0;1,5;2e3\r\n100;2;3e3\r\n",
     ],
 )
 @pytest.mark.parametrize("installed", [True, False])
@@ -328,6 +333,25 @@ def test_words_around_a_label_say_what_it_is_of_and_are_no_joint(
 ):
     found = parse_label(label)
     assert (found.channel, found.joint, found.number) == (channel, joint, number)
+
+
+@pytest.mark.parametrize(
+    ("label", "text", "unit"),
+    [
+        ("t/s", "t", "s"),
+        ("time / ms", "time", "ms"),
+        ("q1/deg", "q1", "deg"),
+        ("base.position in rad", "base.position", "rad"),
+        ("arm/base/velocity / deg/s", "arm/base/velocity", "deg/s"),
+        ("v_base/rad/s", "v_base", "rad/s"),
+        ("tau_base / N·m", "tau_base", "N·m"),
+        ("base_torque/Nm", "base_torque", "Nm"),
+        ("/joint_states/position/a", "/joint_states/position/a", ""),
+        ("/joint_states/header/stamp/sec", "/joint_states/header/stamp/sec", ""),
+    ],
+)
+def test_a_label_divided_by_its_unit_states_it(label, text, unit):
+    assert split_unit(label) == (text, unit)
 
 
 def test_a_torque_that_is_commanded_is_not_taken_for_a_measured_one():

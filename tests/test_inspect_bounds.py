@@ -452,3 +452,11 @@ def test_a_lag_is_sought_up_to_half_a_second(late, found):
     none = np.full(1, np.nan)
     (joint,) = coverage_of(log, State(q[:, None], v, v, v, None, none, none))
     assert (joint.lag == pytest.approx(0.01 * late)) == found
+
+
+def test_a_log_of_scraps_is_refused_for_its_gaps():
+    t = np.arange(0.0, 8.0, 0.01)
+    t = t[t % 0.8 > 0.2]
+    log = Recording(t, np.sin(t)[:, None], joints=("a",))
+    first, *_ = doubts_of_samples(log)
+    assert first.is_error and "gaps of more than 10 steps, and no part" in first.text

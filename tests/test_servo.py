@@ -99,6 +99,7 @@ def log(
     dead: float = 0.0,
     low: bool = False,
     play: float = 0.0,
+    arm: str = ARM,
     **changed,
 ) -> Recording:
     """A log by MuJoCo's own friction and servos at 1 ms, with a coarse encoder.
@@ -106,7 +107,7 @@ def log(
     A low one is on a table, on which the elbow's link comes down. Half of a gap behind
     the shoulder's motor is ``play``; its encoder is on the link.
     """
-    text = ON_TABLE if low else ARM
+    text = ON_TABLE if low else arm
     if play:
         text = text.replace('armature="0.02"/>', f'armature="0.02"/>{SLACK}')
     model = mujoco.MjModel.from_xml_string(text.format(play))
@@ -212,6 +213,21 @@ def test_a_limit_of_torque_far_below_that_of_the_file_is_found(folder):
     (stall,) = (x for x in fit.findings if x.joint == "elbow" and x.quantity == "stall")
     assert stall.value == pytest.approx(0.6, rel=0.1)
     assert fit.after[1] < 0.5 * fit.before[1]
+
+
+UNLIMITED = re.sub(' forcerange="[^"]*"', "", ARM)
+
+
+def test_a_servo_whose_file_has_no_limit_of_torque_has_none(tmp_path):
+    """Joints without weight tell nothing of the torque that their drives can give."""
+    text = UNLIMITED.replace('axis="0 1 0"', 'axis="0 0 1"').replace("0.02", "0.3")
+    path, gain = tmp_path / "arm.xml", np.zeros((2, 10))
+    path.write_text(text)
+    gain[:, 0] = 25.0, 20.0
+    logs = [log(k, 4.0, arm=text, actuator_gainprm=gain) for k in range(2)]
+    fit = fit_servo(Robot.load(path), logs)
+    assert (fit.before < 2 * TICK).all() and not fit.findings
+    assert ("stall, N·m", "none", "none") in servos_table(fit).rows
 
 
 def test_a_file_says_a_dead_band_as_far_as_it_can(folder):

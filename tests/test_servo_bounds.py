@@ -36,7 +36,8 @@ def test_a_servo_without_numbers_has_the_usual_rated_torque():
     bare = replace(BARE, chain=replace(BARE.chain, armature=np.zeros(2)))
     found, stall = Drive.declared(bare), rated_torque(bare)
     assert (stall > 9.81 * 2.0 * 0.5 * 0.6).all()  # carries the outer rod
-    np.testing.assert_allclose(found["stall"], stall)
+    np.testing.assert_allclose(found["stall"], 1e4 * stall)  # no limit that acts
+    assert found.unlimited.all() and not FILE.unlimited.any()
     np.testing.assert_allclose(found.stall, stall)
     np.testing.assert_allclose(found["stiffness"], stall / 0.1)
     for name in ("damping", "coulomb", "armature"):  # nothing has no logarithm
@@ -50,7 +51,7 @@ def test_a_servo_without_numbers_has_the_usual_rated_torque():
     for name in ("offset", "zero", "delay", "play", "spring", "stiction", "pace"):
         assert not found[name].any()
     light = BARE.with_inertial(1e-6 * BARE.chain.inertial)
-    np.testing.assert_array_equal(Drive.declared(light)["stall"], [1.0, 1.0])
+    np.testing.assert_array_equal(Drive.declared(light).stall, [1.0, 1.0])
 
 
 def test_a_link_reaches_as_far_as_its_joints_and_slides_together():

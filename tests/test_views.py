@@ -156,6 +156,15 @@ def test_a_diagnosis_shows_its_findings_and_draws_the_gap_of_each_joint(tmp_path
     assert "explained" in (tmp_path / "diagnosis.html").read_text(encoding="utf-8")
 
 
+def test_a_data_frame_without_rows_has_its_columns(arm, logs):
+    found = a_diagnosis()
+    nothing = replace(found, findings=()).to_frame()
+    assert list(nothing.columns) == list(found.to_frame().columns) and not len(nothing)
+    stuck = inspect_recording(replace(logs[0], q=0 * logs[0].q), arm).to_frame()
+    right = inspect_recording(logs[0], arm).to_frame()
+    assert list(stuck.columns) == list(right.columns) and not len(stuck)
+
+
 def test_a_name_with_markup_in_it_stays_text():
     t = np.linspace(0.0, 2.0, 400)
     q = np.stack([np.sin(3 * t), np.cos(2 * t)], axis=1)

@@ -13,7 +13,7 @@ from hybrid.calibration.measurements import Measurements
 from hybrid.errors import CalibrationError, RecordingError
 from hybrid.recording.formats.csv import read_csv
 
-_UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+_UNIT = re.compile(r"\s*(?:[\[(]([^\])]*)[\])]|/\s*(m|mm|rad|deg))\s*$")
 _SCALE = {
     "": 1.0,
     "m": 1.0,
@@ -98,7 +98,7 @@ def _columns(path: Path) -> dict[str, Array]:
 
 def _name(label: str, path: Path) -> tuple[str, float]:
     match = _UNIT.search(label)
-    unit = match.group(1).strip() if match else ""
+    unit = "".join(filter(None, match.groups())).strip() if match else ""
     if unit not in _SCALE:
         raise CalibrationError(
             f"{path}: column {label!r} is in {unit}; valid are m, mm, rad and deg"

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import frames
-from hybrid.dynamics.regressor import inverse_dynamics, regressor
+from hybrid.dynamics.regressor import inverse_dynamics, regressor, regressor_law
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 from hybrid.signals import Motion
@@ -54,8 +54,11 @@ class RigidBody:
         return regressor(self.chain, self.motion.q, self.motion.v, self.motion.a)
 
     def link_columns(self, link: int) -> Array:
-        """Torque per inertial parameter of one link, shape (N, n, 10)."""
-        return self.columns[:, :, 10 * link : 10 * link + 10]
+        """Torque per inertial parameter of one link, shape (N, n, 10); not kept."""
+        n, m = self.chain.size, self.motion
+        entries = np.arange(10 * n * n).reshape(n, n, 10)[:, link].ravel().tolist()
+        rows = regressor_law(self.chain, tuple(entries)).rows((m.q, m.v, m.a))
+        return rows.reshape(n, 10, -1).transpose(2, 0, 1)
 
     def response(self, j: int, dq: Array, dv: Array, da: Array) -> Array:
         """Change of rigid torque along a change of a joint's motion, (N, n), [N·m].

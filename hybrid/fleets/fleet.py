@@ -53,7 +53,7 @@ class Fleet:
     def diagnoses(self) -> Mapping[tuple[str, str], Sequence[Mapping[str, Any]]]:
         """Row of the verdict, then rows of the findings, by arm and period."""
         found = defaultdict(list)
-        for x in self.rows:
+        for x in sorted(self.rows, key=lambda x: x["status"] == FINDING):
             if x["status"] in (VERDICT, FINDING):
                 found[x["arm"], x["period"]].append(x)
         return found

@@ -12,7 +12,7 @@ from hybrid.errors import HybridError
 from hybrid.files import atomic_path, read_json, write_json
 from hybrid.fleets.plan import FIRST, ArmPlan, Logs, Plan, Unit, opened, periods
 from hybrid.fleets.run import answers
-from hybrid.fleets.worker import LATE, LOST, REFUSED, VERDICT
+from hybrid.fleets.worker import FINDING, LATE, LOST, REFUSED, VERDICT
 from hybrid.progress import Progress
 from hybrid.shown import plain
 
@@ -112,10 +112,11 @@ def _late_unit(unit: Unit, plan: Plan) -> Unit:
 
 
 def _failed(unit: Unit, failed: str, reason: str) -> list[dict[str, Any]]:
-    """Rows of a unit without a result; a failed diagnosis is a verdict."""
+    """Rows of a unit without a result; of a diagnosis, a verdict and its reason."""
+    rows = [(failed, reason)]
     if unit.entry["task"] == "diagnosis":
-        failed, reason = VERDICT, f"{failed}: {reason}"
-    return _labelled(unit, [{"status": failed, "reason": reason}])
+        rows = [(VERDICT, failed), (FINDING, reason)]
+    return _labelled(unit, [{"status": x, "reason": y} for x, y in rows])
 
 
 def _labelled(unit: Unit, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from hybrid.arrays import Array
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.stuck import fewest_repeats, repeats, stretches, stuck_torque
 from hybrid.recording import Recording
+from hybrid.recording.clock import GAP, PART
 from hybrid.recording.recording import row_words
 from hybrid.robot import Robot
 
@@ -71,8 +72,16 @@ def stuck_position(t: Array, q: Array) -> NDArray[np.bool_]:
 
 
 def _clock(recording: Recording) -> Iterator[Doubt]:
-    step = float(np.median(np.diff(recording.t)))
+    steps = np.diff(recording.t)
+    step = float(np.median(steps))
     if step * SLOWEST < 1.0:
+        gaps = np.flatnonzero(steps > GAP * step)
+        if len(gaps):  # else the log would have been split
+            text = (
+                f"t, {row_words(int(gaps[0]) + 1)}: first of {len(gaps)} gaps of more "
+                f"than {GAP} steps, and no part between them lasts {PART:g} s"
+            )
+            yield Doubt("t", (), text, "valid are longer parts", "error", len(gaps))
         return
     what = "no arm is logged so rarely"
     for unit, name in _UNITS:

@@ -70,6 +70,11 @@ def read_model(kind: type[DynamicModel], path: Path) -> DynamicModel:
     except HybridError as error:
         raise ModelFileError(f"{path}: {error}") from error
     except json.JSONDecodeError as error:
+        if path.suffix.lower() in (".xml", ".urdf"):
+            raise ModelFileError(
+                f"{path}: a robot file, not a saved model; valid is the .json that "
+                "identify writes; diagnose scores a robot file on logs"
+            ) from error
         raise ModelFileError(f"{path}: damaged, no JSON ({error})") from error
     except _DAMAGE as error:
         raise ModelFileError(f"{path}: not a saved model ({error!r})") from error

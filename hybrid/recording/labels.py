@@ -39,9 +39,11 @@ _MOTOR = ("motor", "rotor")
 _TAU = ("tau", "dtau")
 _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
 _UNIT = re.compile(r"\s*[\[(]([^\[\]()]+)[\])]$")
-_SUFFIX = re.compile(
-    r"_(rad_s|rad_per_s|deg_s|deg_per_s|rad|deg|degrees|rpm|Nm|mNm|N_m|mA|A|degC|C|"
-    r"[mun]s|sec|seconds|nanoseconds|milliseconds|microseconds|ns|nsec|msec|usec)$"
+_SUFFIX = re.compile(  # a stamp's sec is one of its fields, not its unit
+    r"(?:_|(?<!stamp)(\s*/\s*|\s+in\s+))"
+    r"(rad_s|rad_per_s|deg_s|deg_per_s|rad|deg|degrees|rpm|Nm|mNm|N_m|mA|A|degC|C|[mun]s|"
+    r"sec|seconds|nanoseconds|milliseconds|microseconds|ns|nsec|msec|usec|"
+    r"(?(1)(?:rad/s|deg/s|°/s|°C?|N[·* ]m|m/s|m|s)))$"
 )
 _NUMBER = re.compile(r"\[?(\d+)\]?")
 _SEPARATORS = " _./:[]-"
@@ -98,7 +100,7 @@ def split_unit(label: str) -> tuple[str, str]:
         if is_unit or (channel and fits(unit, channel)):
             return text, unit
     if match := _SUFFIX.search(label):
-        text, unit = label[: match.start()], match.group(1)
+        text, unit = label[: match.start()], match.group(2)
         channel = "time" if is_time(text) else _parse(text).channel
         if channel and fits(unit, channel):
             return text, unit

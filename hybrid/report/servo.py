@@ -59,9 +59,13 @@ def servos_table(fit: ServoFit) -> Table:
     rows = []
     for k, each in enumerate(QUANTITIES):
         cells = []
-        for x, std in zip(fit.drive[each.name], fit.std[k], strict=True):
+        none = fit.drive.unlimited & (each.name == "stall")
+        for j, (x, std) in enumerate(
+            zip(fit.drive[each.name], fit.std[k], strict=True)
+        ):
             low, high = map(_plain, each.interval(x, std))
-            cells.append(f"{_plain(x)} ({low} … {high})" if std else _plain(x))
+            own = f"{_plain(x)} ({low} … {high})" if std else _plain(x)
+            cells.append("none" if none[j] else own)
         name = each.name.replace("_", " ")
         rows.append((f"{name}, {each.unit}" if each.unit else name, *cells))
     return Table(("", *fit.robot.joints), tuple(rows))

@@ -40,6 +40,7 @@ from hybrid.statistics import HALF_WIDTH
 _FAR = 20.0  # logarithm of a value in SI units that no servo reaches
 _PRESLIDING = 1e-3  # rad: usual bend of the bristles before a joint slides
 _FREE = 100.0  # rad: stops of a joint whose file has none
+_UNLIMITED = 1e4  # of the rated torque: that of a servo whose file has no limit
 _LITTLE = 1e-4  # of the stall torque: stands for zero, which has no logarithm
 
 
@@ -129,7 +130,8 @@ class Drive:
 
     Attributes:
         values: Value of each quantity, shape (len(QUANTITIES), n), in SI units.
-        stall: Stall torque of the file, the unit of some priors, shape (n,), [N·m].
+        stall: Stall torque of the file, or else the usual one, the unit of some priors,
+            shape (n,), [N·m].
     """
 
     values: Array
@@ -156,6 +158,11 @@ class Drive:
     def plays(self) -> NDArray[np.bool_]:
         """Whether the gear of each joint has play, shape (n,)."""
         return np.asarray(self["play"] > 0)
+
+    @property
+    def unlimited(self) -> NDArray[np.bool_]:
+        """Whether the torque of each servo has no limit, shape (n,)."""
+        return np.asarray(self["stall"] > 0.5 * _UNLIMITED * self.stall)
 
     @property
     def bristle(self) -> Array:
@@ -194,7 +201,7 @@ class Drive:
             "stribeck_speed": np.full(n, 0.05),
             "presliding": np.full(n, _PRESLIDING),
             "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
-            "stall": stall,
+            "stall": np.where(np.isfinite(robot.tau_max), stall, _UNLIMITED * stall),
             "lower": np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),
             "upper": np.where(np.isfinite(robot.q_max), robot.q_max, _FREE),
             "mass": np.ones(n),

@@ -123,8 +123,10 @@ def _usual_changes(problem: Problem, x: Array, hint: Array) -> dict[str, list[Ar
         size = 0.5 * ones if each.positive else spread[k]
         other = 0.25 * size if each.least == 0.0 else -size
         out[each.name] = [size, other, hint[k] - x[k]]
-    # A limit has no effect until it is reached, so that several values are tried.
-    out["stall"] = [-far * spread[NAMES.index("stall")] for far in (1.0, 2.0, 3.0)]
+    # A limit has no effect until it is reached, so that several values are tried: of
+    # one that the file states, since all values far above act alike.
+    limited = np.where(problem.prior.unlimited, 0.0, spread[NAMES.index("stall")])
+    out["stall"] = [-far * limited for far in (1.0, 2.0, 3.0)]
     out["pace"] = [share / fastest for share in (1.2, 2.0, 4.0)]
     # A stop is not nearer than the farthest position in any log.
     for name, way, place in zip(

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO, TextIOWrapper
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +20,7 @@ from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import named_labels
 from hybrid.recording.recording import row_words
 from hybrid.recording.table import LARGEST_FILE, LogTable
+from hybrid.recording.units import fits
 
 DELIMITERS = (",", ";", "\t")
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
@@ -26,6 +28,7 @@ _DATES = "M8[ns]"
 _ZONE = re.compile(r":\d\d(\.\d*)?\s*(Z|[+-]\d\d:?\d\d)\s*$")
 _WHOLE = re.compile(r"\s*\d{16,19}\s*")  # more digits than a float has
 _LONGEST_LINE = 1 << 20  # bytes
+_MOST_COMMENTS = 1000  # lines
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,7 @@ class _Text:
     delimiter: str
     decimal_point: str
     first: tuple[str, ...]  # cells of the first row
+    above: int  # lines above it
 
     def open(self) -> BinaryIO:
         """The whole text, from its start."""
@@ -44,6 +48,9 @@ class _Text:
 
 def read_csv(path: Path) -> list[tuple[LogTable]]:
     """Read a line of column names and one line for each sample.
+
+    Comments, which begin with ``#``, may stand above, and the names in the last of
+    them; a line of units may stand below.
 
     Args:
         path: File, gzipped or not, with comma, semicolon or tab between cells. Numbers
@@ -93,7 +100,7 @@ def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[int, NDArray[Any]] 
     for k, kind in kinds.items():
         if kind == _DATES and _ZONE.search(text.first[k]):
             types[str(k)] = timestamp("ns", "UTC")
-    read = ReadOptions(use_threads=False, skip_rows=1, column_names=labels)
+    read = ReadOptions(use_threads=False, skip_rows=text.above, column_names=labels)
     convert = ConvertOptions(
         column_types=types,
         include_columns=list(types),
@@ -118,10 +125,10 @@ def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[int, NDArray[Any]] 
 
 
 def _has_hexadecimals(text: _Text) -> bool:
-    """Whether a line below the first holds what Arrow takes for a hexadecimal."""
+    """Whether a row holds what Arrow takes for a hexadecimal."""
     with text.open() as lines:
-        next(lines)
-        return any(b"0x" in line or b"0X" in line for line in lines)
+        below = islice(lines, text.above, None)
+        return any(b"0x" in line or b"0X" in line for line in below)
 
 
 def _numbers(chunk: Any, kind: str) -> NDArray[Any]:
@@ -147,7 +154,8 @@ def _loaded(
 ) -> NDArray[Any]:
     layout = [(str(k), kinds.get(k, "U1")) for k in range(len(text.labels))]
     with TextIOWrapper(text.open(), "utf-8", "replace", newline="") as lines:
-        lines.readline()
+        for _ in range(text.above):
+            lines.readline()
         comma = text.decimal_point == ","
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's on no rows, and on time zones
@@ -189,15 +197,15 @@ def _unpacked(path: Path) -> bytes | None:
 
 
 def _text(path: Path) -> _Text:
-    """Find labels and delimiter in the first line, the decimal sign in the second."""
+    """Find labels and delimiter in the first line, the decimal sign in the next."""
     try:
         content = _unpacked(path)
         with path.open("rb") if content is None else BytesIO(content) as file:
-            lines = file.readline(_LONGEST_LINE), file.readline(_LONGEST_LINE)
+            names, *rows, above = _first_lines(file)
     except OSError as error:
         reason = error.strerror or error
         raise RecordingError(f"{path}: cannot be read: {reason}") from error
-    header, first = _header(path, lines[0]), lines[1].decode("utf-8", errors="replace")
+    header = _header(path, names)
     if not header.strip():
         empty = "is empty" if path.stat().st_size == 0 else "has an empty first line"
         raise RecordingError(f"{path}: {empty}; valid is a first line of column names")
@@ -214,12 +222,39 @@ def _text(path: Path) -> _Text:
             f"{path}: the first line holds numbers; valid are column names such as "
             "time, q1, tau1"
         )
-    try:
-        cells = tuple(next(csv.reader([first], delimiter=delimiter), ()))
-    except csv.Error:  # the reader of all rows reports it
-        cells = ()
+    first, second = (x.decode("utf-8", errors="replace") for x in rows)
+    cells = _cells(first, delimiter)
+    if units := _units(cells):
+        pairs = zip_longest(labels, units, fillvalue="")
+        labels = tuple(f"{x} [{unit}]" if unit else x for x, unit in pairs)
+        first, above, cells = second, above + 1, _cells(second, delimiter)
     comma = delimiter != "," and "," in first and "." not in first
-    return _Text(path, content, labels, delimiter, "," if comma else ".", cells)
+    point = "," if comma else "."
+    return _Text(path, content, labels, delimiter, point, cells, above)
+
+
+def _first_lines(file: BinaryIO) -> tuple[bytes, bytes, bytes, int]:
+    """Line of column names, two lines below, and the number of lines down to it."""
+    read = partial(file.readline, _LONGEST_LINE)
+    lines = [read()]
+    while lines[-1].startswith(b"#") and len(lines) < _MOST_COMMENTS:
+        lines.append(read())
+    if len(lines) > 1 and re.match(rb"\s*[-+.\d]", lines[-1]):  # as NumPy writes
+        return lines[-2].lstrip(b"# "), lines[-1], read(), len(lines) - 1
+    return lines[-1], read(), read(), len(lines)
+
+
+def _cells(line: str, delimiter: str) -> tuple[str, ...]:
+    try:
+        return tuple(next(csv.reader([line], delimiter=delimiter), ()))
+    except csv.Error:  # the reader of all rows reports it
+        return ()
+
+
+def _units(cells: tuple[str, ...]) -> tuple[str, ...]:
+    """Units of columns, if that is what a row holds: no number, and blanks or units."""
+    units = tuple(x.strip().strip("[]()-") for x in cells)
+    return units if any(units) and all(not x or fits(x) for x in units) else ()
 
 
 def _header(path: Path, line: bytes) -> str:
