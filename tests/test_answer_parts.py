@@ -615,7 +615,8 @@ def test_without_effects_nothing_is_replayed_and_what_fails_is_a_warning(monkeyp
     monkeypatch.setattr(motion_gap, "Replay", failing)
     monkeypatch.setattr(motion_gap, "_noted", lambda d, notes: (d, notes))
     monkeypatch.setattr(motion_gap, "replace", lambda r, diagnosis: diagnosis)
-    some = SimpleNamespace(effects=(1,), scored=None, diagnosis=diagnosis)
+    gap = SimpleNamespace(torque_is_filtered=False)
+    some = SimpleNamespace(effects=(1,), scored=None, diagnosis=diagnosis, gap=gap)
     told = []
     found = with_motion_gap(some, rng(), progress=lambda *x: told.append(x))
     assert found == (diagnosis, ["no replay: it cannot be simulated"])
