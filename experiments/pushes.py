@@ -2,7 +2,8 @@
 
 To a log the torque of a push on the last link is added, by the Jacobian of Pinocchio:
 of random direction and time, 30 to 120 N, 0.3 to 1 s, either half a sine or constant
-with edges of 60 ms. Each is diagnosed, with the other logs, against the arm's file. A
+with edges of 60 ms. It passes the filter by which the log was smoothed, if one was.
+Each is diagnosed, with the other logs, against the arm's file. A
 row appears for each push: the largest torque that it adds, whether an event of the
 answer overlaps it, by how much its start and end are off, the part of its mean torque,
 over all joints, that is missed, and other events.
@@ -21,12 +22,13 @@ import numpy as np
 import pinocchio as pin
 from outputs import command_line
 
-from hybrid import Recording, Robot, read_recordings
+from hybrid import Recording, Robot, identify, read_recordings
 from hybrid.arrays import Array
 from hybrid.diagnosis import diagnose
 from hybrid.errors import HybridWarning
 from hybrid.files import atomic_path
 from hybrid.report import Table, markdown_table, provenance, write_results
+from hybrid.signals import Sampler
 
 FORCES, LASTS = (30.0, 120.0), (0.3, 1.0)  # N, s
 EDGE = 0.06  # s, of a push that is constant
@@ -72,8 +74,13 @@ class Push:
         return np.where(during, np.sin(np.pi * since / self.lasts), 0.0)
 
 
-def pushed(log: Recording, file: Path, push: Push) -> tuple[Recording, Array]:
-    """A log with a push, and the torque that it adds, shape (N, n), [N·m]."""
+def pushed(
+    log: Recording, file: Path, push: Push, band: float
+) -> tuple[Recording, Array]:
+    """A log with a push, and the torque that it adds, shape (N, n), [N·m].
+
+    ``band`` is the bandwidth of the logged torque, [Hz].
+    """
     model = pin.buildModelFromUrdf(str(file))
     data, names = model.createData(), list(model.names)
     at = [names.index(x) - 1 for x in log.joints]
@@ -86,15 +93,16 @@ def pushed(log: Recording, file: Path, push: Push) -> tuple[Recording, Array]:
         pin.computeJointJacobians(model, data, q)
         J = pin.getJointJacobian(model, data, last, frame)
         more[k] = share[k] * (J[:3].T @ push.force)[at]
+    more = Sampler(log.rate, band, 1)(more)
     return replace(log, tau=log.tau + more), more
 
 
 def outcome(
-    robot: Robot, logs: Sequence[Recording], file: Path, push: Push
+    robot: Robot, logs: Sequence[Recording], file: Path, push: Push, band: float
 ) -> tuple[object, ...]:
     """Diagnose logs, a push in the first: the columns of a row from its torque on."""
     log, *rest = logs
-    told, more = pushed(log, file, push)
+    told, more = pushed(log, file, push, band)
     events = diagnose.examine(robot, [told, *rest]).diagnosis.events
     zero, end = log.t[0] + push.start, log.t[0] + push.start + push.lasts
     here = [e for e in events if e.start < end and e.end > zero]
@@ -123,10 +131,11 @@ def main() -> None:
     robot = Robot.load(file)
     logs = read_recordings([args.data / args.arm], joints=robot.joints)
     duration = float(np.ptp(logs[0].t))
+    band = identify(robot, logs, stages=("rigid",)).model.band
     rows = []
     for seed in range(args.first, args.first + args.count):
         push = Push.drawn(seed, duration, args.factor)
-        size, found, *rest = outcome(robot, logs, file, push)
+        size, found, *rest = outcome(robot, logs, file, push, band)
         force = float(np.linalg.norm(push.force))
         rows.append((seed, push.shape, force, push.start, push.lasts, size, found,
                      *rest))  # fmt: skip

@@ -155,3 +155,15 @@ def friction_of(effect, log):
     """Torque of dry friction along a log, shape (N, n)."""
     v = np.gradient(log.q, log.t, axis=0)
     return effect.values["level"] * np.sign(v) * (np.arange(2) == effect.joints[0])
+
+
+def test_a_push_is_found_behind_a_filter():
+    """At the rate of such a gap a sample is longer than a chunk of time."""
+    first, *rest = filtered_logs()
+    since = first.t - first.t[0]
+    share = np.where(np.abs(since - 6.3) < 0.3, np.cos((since - 6.3) * np.pi / 0.6), 0)
+    b, a = butter(4, BAND, fs=first.rate)
+    torque = filtfilt(b, a, share[:, None] * np.array([9.0, 6.0]), axis=0)
+    logs = [replace(first, tau=first.tau + torque), *rest]
+    (event,) = examine(arm("planar"), logs).diagnosis.events
+    assert event.start < 6.3 < event.end and event.end - event.start < 1.2

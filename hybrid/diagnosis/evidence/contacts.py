@@ -13,7 +13,7 @@ from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect
 from hybrid.statistics import robust_std
 
-_CHUNK = 0.05  # s
+_CHUNK = 0.05  # s, or a sample if that is longer
 _LENGTHS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192)  # chunks
 _FAST = 0.1  # of a joint's highest speed
 _LONGEST = 1 / 3  # of a recording
@@ -96,7 +96,8 @@ class Contacts:
         # At low speed, errors of the friction look like a contact.
         self._fast = v > _FAST * v[gap.sampled.mask].max(axis=0, initial=0.0)
         self._first = float(t.min())
-        number = ((t - self._first) / _CHUNK).astype(np.intp)
+        self._chunk = max(_CHUNK, 1.0 / gap.rate)
+        number = ((t - self._first) / self._chunk + 1e-6).astype(np.intp)
         self._clocks = [_Clock.cut(number, np.full(len(t), _OF_ALL))]
         own = _Clock.cut(number, gap.trajectory)
         if len(own.number) > len(self._clocks[0].number):
@@ -147,8 +148,8 @@ class Contacts:
 
     def _contact(self, stretch: _Stretch, rise: float) -> Effect:
         """A contact that has more than half of its force during a stretch."""
-        duration = _CHUNK * stretch.length / (1.0 - rise / 2)
-        middle = self._first + _CHUNK * (stretch.first + stretch.length / 2)
+        duration = self._chunk * stretch.length / (1.0 - rise / 2)
+        middle = self._first + self._chunk * (stretch.first + stretch.length / 2)
         times = {
             "start": max(middle - duration / 2, 0.0),
             "duration": duration,
