@@ -11,7 +11,7 @@ import numpy as np
 from hybrid.arguments import typed
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.command import command_link
-from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict, listed
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import findings
 from hybrid.diagnosis.answer.links import delay_finding, merged_links
@@ -19,7 +19,7 @@ from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.unseen import left_unseen, unseen
-from hybrid.diagnosis.answer.words import headline
+from hybrid.diagnosis.answer.words import effect_words, effects_listed, headline
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.evidence.logs import measured, since_first
@@ -236,7 +236,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     shown, left = unseen(search, found, certain), left_unseen(scored, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
     untested = [f.effect for f in causes if _is_untested(f, scored)]
-    doubts += [_UNTESTED.format(listed(untested))] if untested else []
+    doubts += [_UNTESTED.format(effects_listed(untested, "and"))] if untested else []
     error, typical = search.file_error, search.prior.file_errors[1]
     if error > typical:
         doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)
@@ -291,7 +291,7 @@ def _drop_improbable(
         alike[term] = tuple(c for c in (*here, *there) if c.place != term.place)
         for c in there:
             both = (term.place, c.place)
-            said = (w for e, at in both for w in (e, names[at[-1]]))
+            said = (w for e, at in both for w in (effect_words(e), names[at[-1]]))
             doubts.append(_OTHER_JOINT.format(*said))
     return kinds, alike
 
