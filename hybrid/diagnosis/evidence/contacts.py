@@ -96,8 +96,9 @@ class Contacts:
         # At low speed, errors of the friction look like a contact.
         self._fast = v > _FAST * v[gap.sampled.mask].max(axis=0, initial=0.0)
         self._first = float(t.min())
-        self._chunk = max(_CHUNK, 1.0 / gap.rate)
-        number = ((t - self._first) / self._chunk + 1e-6).astype(np.intp)
+        # Slightly less than a sample, so that each one begins a chunk of its own.
+        self._chunk = max(_CHUNK, (1.0 - 1e-6) / gap.rate)
+        number = ((t - self._first) / self._chunk).astype(np.intp)
         self._clocks = [_Clock.cut(number, np.full(len(t), _OF_ALL))]
         own = _Clock.cut(number, gap.trajectory)
         if len(own.number) > len(self._clocks[0].number):
