@@ -21,6 +21,7 @@ from hybrid.inspect import inspect_recording
 from hybrid.model import DynamicModel
 from hybrid.online import OnlineIdentifier, Sample
 from hybrid.plant import random_fourier, simulate
+from hybrid.report.fit import excerpt_figure
 from hybrid.signals.bandwidth import torque_bandwidth
 
 RATE, BAND = 250.0, 2.5
@@ -113,6 +114,15 @@ def test_identification_finds_the_friction_behind_a_filter():
         assert any("low-pass filtered at about 2." in text for text in texts)
     assert rows.rows[-1].relative.max() < 0.02
     assert np.all(fit.held_out["IRLS"] <= 1.1 * plain.held_out["IRLS"])
+
+
+def test_a_picture_shows_models_as_the_logger_does():
+    """Sharp friction drawn over smooth torque would look like an error of the model."""
+    fit, _ = quiet(identify, arm("planar"), filtered_logs()[:3], stages=("rigid",))
+    figure = excerpt_figure(fit.model, filtered_logs()[3])
+    residuals = [x for x in figure.axes if "residual" in x.get_ylabel()]
+    most = [np.abs(line.get_ydata()).max() for x in residuals for line in x.lines]
+    assert len(most) >= 2 and max(most) < 0.25 * LEVEL
 
 
 def test_an_inspection_tells_a_filter():

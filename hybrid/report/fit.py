@@ -180,6 +180,9 @@ def excerpt_figure(model: DynamicModel, recording: Recording) -> Figure:
 
 
 def seen_by(model: DynamicModel, recording: Recording) -> tuple[Motion, Sampler]:
-    """Motion as the identification filters it, and its filter without decimation."""
+    """Motion as the identification filters it, and its filter without decimation.
+
+    That is the logger's own filter if the torque had passed one.
+    """
     motion = motion_from_recording(recording, cutoff=2 * model.cutoff)
-    return motion, Sampler(motion.rate, model.cutoff, 1)
+    return motion, Sampler(motion.rate, min(model.cutoff, model.band), 1)
