@@ -25,6 +25,7 @@ from hybrid.effects.payload import Payload
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.inspect import inspect_recording
+from hybrid.inspect.doubt import Doubt
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -116,9 +117,15 @@ def said_of_right(robots: Sequence[Robot], seeds: int) -> dict[str, Counter[str]
     return said
 
 
+def _kind(doubt: Doubt) -> tuple[object, ...]:
+    return doubt.channel, doubt.joints, doubt.remedy
+
+
 def outcome(robot: Robot, log: Recording, way: Any, i: int, j: int) -> str:
-    """What is said of a wrong log."""
+    """What is said of a wrong log, and not of the right one that it was made of."""
+    of_right = {_kind(d) for d in inspect_recording(log, robot).doubts}
     doubts = inspect_recording(way.make(log, i, j), robot).doubts
+    doubts = tuple(d for d in doubts if _kind(d) not in of_right)
     columns = made.about(way, i, j)
     right = [
         d

@@ -372,7 +372,7 @@ def test_candidates_are_on_a_grid_within_the_range_of_each_shape():
     assert set(np.round(0.5 + 2.5 * np.arange(1, 5) / 5, 9)) <= set(bends)
     (dry,) = [c for c in found if c.place == ("coulomb", (0,))]
     assert dry.lower == pytest.approx([0.0]) and dry.std[0] > 0
-    assert dry.fixed_gains is None
+    assert dry.fixed_gains(gap) is None
     tuned = with_gains(dry.effect, [0.7])
     assert tuned.values["level"] == 0.7
     again = candidate(gap, tuned)
@@ -388,8 +388,21 @@ def test_a_steep_effect_is_scanned_over_its_gain():
     gain = Backlash.gains[0].scaled(gap.scales[0])
     np.testing.assert_allclose(widths, np.geomspace(gain.typical / 30, gain.upper, 14))
     (first, *_) = [c for c in candidates(gap) if c.effect.id == "backlash"]
-    assert first.fixed_gains == pytest.approx([widths[0]])
+    assert first.fixed_gains(gap) == pytest.approx([widths[0]])
     assert with_gains(first.effect, [9.0]) is first.effect
+
+
+def test_springs_above_the_visible_band_are_one_candidate():
+    gap = gap_of(size=1)
+    springs = [c for c in candidates(gap) if c.effect.id == "elasticity"]
+    stiff, *soft = springs
+    gain = type(stiff.effect).gains[0].scaled(gap.scales[0])
+    every = np.geomspace(gain.typical / 30, gain.upper, 14)
+    above = [gap.is_above_band(stiff.effect.at({gain.name: x})) for x in every]
+    assert 1 < sum(above) == 15 - len(springs)
+    assert stiff.effect.values[gain.name] == every[sum(above) - 1]
+    assert stiff.fixed_gains(gap) is None  # its torque is proportional to it
+    assert all(c.fixed_gains(gap) == c.effect.gain_values for c in soft)
 
 
 # --- background and split -------------------------------------------------------------

@@ -259,9 +259,10 @@ def test_gains_are_given_to_effects_but_to_steep_ones():
     assert (wave.values["sine"], wave.values["cosine"]) == (1.0, 2.0)
     play = Backlash((0,), {"half_width": 0.01})
     assert with_gains(play, [1.0]) is play
+    gap = gap_of(size=1)
     steep = Candidate(play, np.ones(1), np.zeros(1))
-    np.testing.assert_array_equal(steep.fixed_gains, [0.01])
-    assert Candidate(wave, np.ones(2), np.zeros(2)).fixed_gains is None
+    np.testing.assert_array_equal(steep.fixed_gains(gap), [0.01])
+    assert Candidate(wave, np.ones(2), np.zeros(2)).fixed_gains(gap) is None
 
 
 def test_columns_are_the_same_where_joints_and_values_are():

@@ -49,10 +49,13 @@ class Candidate:
         """Id of the effect, and its joints."""
         return self.effect.id, self.effect.joints
 
-    @property
-    def fixed_gains(self) -> Array | None:
-        """Gains at which the columns of a steep effect were evaluated, shape (p,)."""
-        return self.effect.gain_values if self.effect.steep else None
+    def fixed_gains(self, gap: Gap) -> Array | None:
+        """Gains at which the columns of a steep effect were evaluated, shape (p,).
+
+        Above the visible band its torque is proportional to them, and they are free.
+        """
+        free = not self.effect.steep or gap.is_above_band(self.effect)
+        return None if free else self.effect.gain_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,9 +129,13 @@ def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effe
         axes = [np.array([s.typical]) for s in shapes]
         axes.append(gain_grid(gain))
         shapes.append(gain)
-    for values in product(*axes):
-        named = {s.name: float(x) for s, x in zip(shapes, values, strict=True)}
-        yield cls(joints, named)
+    names = [s.name for s in shapes]
+    tried = [
+        cls(joints, dict(zip(names, map(float, x), strict=True)))
+        for x in product(*axes)
+    ]
+    above = [cls.steep and gap.is_above_band(x) for x in tried]
+    yield from tried[max(sum(above) - 1, 0) :]  # those above the band are alike
     if more := cls.suggested(gap.motions, joints[-1]):
         named = {s.name: float(np.clip(more[s.name], s.lower, s.upper)) for s in shapes}
         yield cls(joints, named)

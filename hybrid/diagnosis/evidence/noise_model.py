@@ -20,7 +20,7 @@ from hybrid.diagnosis.prior import Prior
 from hybrid.signals import autocorrelation_time
 
 _LESS = 0.9  # of a variance: a fall that is worth another search
-_RIDGES = 10.0 ** np.arange(-5, 5)  # for columns of unit length
+_RIDGES = 100.0 ** np.arange(-2, 3)  # for columns of unit length
 
 
 class NoiseModel:

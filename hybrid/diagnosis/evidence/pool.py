@@ -40,6 +40,7 @@ class Pool:
         self.evidence = evidence
         self.without = tuple(without)
         self.tried: list[Term] = []
+        self._fixed_gains: list[Array | None] = []
         events = repeating("recording", without)
         self._events = [Contacts(self.gap, law) for law in events]
         self._add(candidates(self.gap, without))
@@ -60,6 +61,7 @@ class Pool:
         if kept:
             index = self.evidence.add(blocks, [c.std for c in kept])
             self.tried += [Term(c, i) for c, i in zip(kept, index, strict=True)]
+            self._fixed_gains += [c.fixed_gains(self.gap) for c in kept]
 
     def add_ripples(self, base: Index, count: int = _RIPPLES) -> None:
         """Add ripples of the strongest orders at each joint in a base's residual."""
@@ -113,7 +115,7 @@ class Pool:
             base,
             [t.index for t in self.tried],
             [t.candidate.lower for t in self.tried],
-            [t.candidate.fixed_gains for t in self.tried],
+            self._fixed_gains,
             np.zeros(0, dtype=np.intp) if less is None else less,
         )
         best: dict[tuple[object, ...], tuple[Candidate, float]] = {}

@@ -50,8 +50,8 @@ def gain(evidence: Evidence, base: Index, c: Candidate) -> float:
 
 
 def _trial(evidence: Evidence, base: Index, c: Candidate) -> Trial:
-    columns = evidence.gap.columns(c.effect)
-    return evidence.trial(base, columns, c.std, c.lower, c.fixed_gains)
+    columns, fixed = evidence.gap.columns(c.effect), c.fixed_gains(evidence.gap)
+    return evidence.trial(base, columns, c.std, c.lower, fixed)
 
 
 def _fit_nonlinear(

@@ -81,7 +81,7 @@ def fit(servo: ServoLog, choice: Sequence[Law], *, immediate: bool) -> Fit:
         if not starts:
             return None
         # The scan over latencies knows a delay of the torque only to first order.
-        few = starts if shifted else [min(starts, key=lambda x: x[0])]
+        few = sorted(starts, key=lambda x: x[0])[: 1 + shifted]
         tried = [
             (_stepped(servo.thin, law, x, way), law, way) for _, x, way, law in few
         ]
