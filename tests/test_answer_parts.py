@@ -61,8 +61,10 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.payload import Payload
 from hybrid.effects.presliding import Presliding
+from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError
+from hybrid.statistics import interval_above
 
 
 def rng():
@@ -133,6 +135,29 @@ def test_values_have_intervals_of_two_deviations_within_the_bounds_of_shapes():
     assert not fitted_values(gap, wide)[1].determined
     certain = fitted_values(gap, law.at({}, {"level": 0.1}))[1]
     assert certain.interval == (certain.value, certain.value) and certain.determined
+
+
+@pytest.mark.parametrize("mean", [-1.0, 0.0, 0.5, 1.5, 1.8, 2.5, 6.0])
+def test_the_interval_of_a_bounded_value_is_the_shortest_with_95_percent(mean):
+    from scipy.stats import truncnorm
+
+    least, std = 2.0, 0.3
+    own = truncnorm(-mean, np.inf, loc=least + mean * std, scale=std)
+    low, high = interval_above(least, least + mean * std, std)
+    assert own.cdf(high) - own.cdf(low) == pytest.approx(0.95, abs=1e-5)
+    ends = own.pdf([low + 1e-9, high])  # it is shortest if both ends are as likely
+    assert low == least or ends[0] == pytest.approx(ends[1], rel=1e-6)
+    assert ends[0] >= ends[1] * (1 - 1e-6)
+
+
+def test_dry_friction_is_never_negative():
+    gap = gap_of(size=2)
+    rubs = Coulomb((1,), {"level": 0.5}).at({}, {"level": 0.3})
+    ((low, high),) = [v.interval for v in fitted_values(gap, rubs)]
+    assert low == 0.0 and 0.5 < high < 0.5 + 1.96 * 0.3
+    offset = TorqueOffset((1,), {"level": 0.5}).at({}, {"level": 0.3})
+    ((low, high),) = [v.interval for v in fitted_values(gap, offset)]
+    assert (low, high) == pytest.approx((0.5 - 1.96 * 0.3, 0.5 + 1.96 * 0.3))
 
 
 def test_values_of_an_arm_are_the_arms_and_of_couplings_of_both_joints():

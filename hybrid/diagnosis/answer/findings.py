@@ -13,7 +13,7 @@ from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import FASTEST, Effect, effect_class
-from hybrid.statistics import HALF_WIDTH
+from hybrid.statistics import HALF_WIDTH, interval_above
 
 _LEAST_CHANGE = 0.05  # of the largest change at a joint
 _UNDETERMINED = 0.8  # width of an interval, over the range of its shape
@@ -156,7 +156,7 @@ def changed_joints(scored: Explanation, without: Sequence[Array]) -> list[int]:
 
 def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
     """The parameters of an effect with their 95 % intervals, within their bounds."""
-    scale, prior = gap.scales[effect.joints[-1]], candidate(gap, effect).std
+    scale, known = gap.scales[effect.joints[-1]], candidate(gap, effect)
     joint = "+".join(gap.robot.joints[j] for j in effect.at_joints)
     if effect.scope == "arm":
         joint = "arm"
@@ -168,8 +168,11 @@ def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
         low, high = value - HALF_WIDTH * std, value + HALF_WIDTH * std
         # A search may widen the prior: what is told from zero is determined, too.
         told = abs(value) > HALF_WIDTH * std
-        determined = k >= len(prior) or bool(std < prior[k]) or told
-        if std > 0 and x in effect.shapes:
+        gain = k < len(effect.gains)
+        determined = not gain or bool(std < known.std[k]) or told
+        if std > 0 and gain:
+            low, high = interval_above(known.lower[k], value, std)
+        elif std > 0:
             bounds = x.scaled(scale)
             low, high = max(low, bounds.lower), min(high, bounds.upper)
             determined = part_of_range(bounds, low, high) < _UNDETERMINED
