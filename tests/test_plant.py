@@ -802,15 +802,15 @@ def test_a_truth_is_a_nominal_robot_and_a_plant_that_differs(two_links, tmp_path
     [
         ("robot: arm.xml", "", "no robot"),
         ("robot: arm.xml", "robot: none.xml", "no such robot"),
-        ("inertial:", "inertia:", "unknown inertia; valid are robot"),
+        ("inertial:", "inertia:", "unknown 'inertia'; valid are keys robot"),
         ("joint: elbow", "joint: knee", "no joint 'knee'"),
         ("mass: 1.1", "mass: -1", "above 0"),
-        ("mass: 1.1", "weight: 1.1", "unknown weight"),
+        ("mass: 1.1", "weight: 1.1", "unknown 'weight'"),
         ("effect: coulomb", "effect: magic", "no effect 'magic'"),
         ("{level: 0.5}", "{height: 0.5}", "no parameter height"),
         ("torque_std: [0.2, 0.1]", "torque_std: [1, 2, 3]", "torque_std"),
         ("torque_std: [0.2, 0.1]", "torque_std: loud", "truth.yaml"),
-        ("log_rate: 250", "rate: 250", "unknown rate"),
+        ("log_rate: 250", "rate: 250", "unknown 'rate'"),
         ("log_rate: 250", "log_rate: [", "not a readable YAML"),
     ],
 )
