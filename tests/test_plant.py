@@ -12,18 +12,11 @@ from hypothesis import strategies as st
 
 from hybrid.effects import Effect, Port, effect_class
 from hybrid.errors import EffectError, HybridError, HybridWarning, RobotError
-from hybrid.plant import (
-    Noise,
-    Plant,
-    Reference,
-    Servo,
-    load_truth,
-    random_fourier,
-    simulate,
-)
+from hybrid.plant import Noise, Plant, Reference, load_truth, random_fourier, simulate
 from hybrid.plant.arm import build_arm, inverse_dynamics
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.reference import limits
+from hybrid.plant.servo import Servo
 from hybrid.robot import Robot
 
 HINGE = """<mujoco><compiler angle="radian"/><worldbody><body>
