@@ -7,9 +7,8 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.names import figure_text
 
 if TYPE_CHECKING:
@@ -125,7 +124,7 @@ def lines_figure(
     return figure, cells
 
 
-def extremes(curves: Sequence[Array], most: int) -> NDArray[np.intp]:
+def extremes(curves: Sequence[Array], most: int) -> Index:
     """The ends of curves, and the lowest and highest point of each in every interval.
 
     Where there are at most ``most`` samples, these are all.
