@@ -1,7 +1,5 @@
 """The style of all figures: colours, sizes, panels and legends."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,8 +10,10 @@ from hybrid.arrays import Array, Index
 from hybrid.names import figure_text
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+else:
+    Axes = Figure = Any  # matplotlib is slow to load
 
 Curve = tuple[str, Array, str, float]  # name, values (N, n), colour, width in points
 
