@@ -24,7 +24,8 @@ from tables import show
 from hybrid import DynamicModel
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.compensator.gmr_fit import fit_gmr
-from hybrid.exports import export, program_from_model
+from hybrid.exports import export
+from hybrid.model.program import program_from_model
 from hybrid.plant import load_truth
 from hybrid.regression.problem import build_problem
 from hybrid.signals import Motion

@@ -8,10 +8,12 @@ import os
 import shutil
 import uuid
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from hybrid.errors import HybridError
 
 MOST_BYTES = 64 * 2**20  # largest JSON file that is read
 _MOST_YAML = 100_000  # bytes; the YAML parser takes a second for these
@@ -116,18 +118,17 @@ def read_json(path: str | Path) -> Any:
     return content
 
 
-def read_yaml(path: str | Path) -> Any:
+def read_yaml(path: str | Path, kind: type[HybridError] = HybridError) -> Any:
     """Read a YAML file that has no references (anchors and aliases).
 
     Raises:
-        OSError: The file cannot be read.
-        ValueError: It is too large, nested too deep, not plain YAML, or has a key
-            twice.
+        HybridError: The file cannot be read, is too large, nested too deep, not plain
+            YAML, or has a key twice. The error is of the ``kind``.
     """
     import yaml
 
-    text, depth = _text(path, _MOST_YAML), 0
     try:
+        text, depth = _text(path, _MOST_YAML), 0
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
@@ -135,8 +136,29 @@ def read_yaml(path: str | Path) -> Any:
                 raise ValueError(f"has references, or more than {_DEEPEST} levels")
         _check_keys(yaml.compose(text, Loader=yaml.SafeLoader))
         return yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError(" ".join(str(error).split())) from error
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise kind(f"{path}: not a readable YAML file ({reason})") from error
+
+
+def checked_table(
+    content: Any,
+    keys: Collection[str],
+    where: str,
+    kind: type[HybridError] = HybridError,
+) -> dict[str, Any]:
+    """A table of a user's file, if all its keys are known.
+
+    Raises:
+        HybridError: It is no table, or has another key. The error is of the ``kind``.
+    """
+    valid = f"valid are keys {', '.join(keys)}"
+    if not isinstance(content, Mapping):
+        found = "empty" if content is None else f"{content!r:.80}"
+        raise kind(f"{where}: is {found}, not a table; {valid}")
+    if unknown := [str(key) for key in content if key not in keys]:
+        raise kind(f"{where}: unknown {', '.join(map(repr, unknown))}; {valid}")
+    return dict(content)
 
 
 def _check_keys(node: Any) -> None:

@@ -3,12 +3,10 @@
 :class:`hybrid.shown.Shown` calls what is public here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,12 +25,18 @@ from hybrid.report.fit import held_out_table
 from hybrid.report.inspection import joints_table, write_inspection
 from hybrid.report.output import Section, provenance, render_page
 from hybrid.report.servo import gap_table
-from hybrid.report.style import BEST, BLUE, GREY, PALE, clean, new_figure, stage_inks
+from hybrid.report.style import (
+    BEST,
+    BLUE,
+    GREY,
+    PALE,
+    Axes,
+    clean,
+    new_figure,
+    stage_inks,
+)
 from hybrid.report.table import Table
 from hybrid.servo import ServoFit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _HEIGHT = 3.2  # inches
 

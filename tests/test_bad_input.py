@@ -28,7 +28,8 @@ from hybrid import (
 from hybrid.errors import HybridError, HybridWarning, RecordingError
 from hybrid.inspect import check_recordings
 from hybrid.recording import Recording, read, read_all, write
-from hybrid.robot import Chain, Robot
+from hybrid.robot import Robot
+from hybrid.robot.chain import Chain
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 SUFFIXES = (".csv", ".parquet", ".npz")

@@ -8,7 +8,8 @@ from arms import MODELS, PUBLIC_ARMS, public_arm, random_arm, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybrid.dynamics import base_parameters, inertial_labels, regressor
+from hybrid.dynamics import regressor
+from hybrid.dynamics.base import base_parameters, inertial_labels
 from hybrid.effects import effect_class
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.regression.problem import build_problem

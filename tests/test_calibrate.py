@@ -15,12 +15,12 @@ import hybrid
 from hybrid.arrays import Array
 from hybrid.calibration import (
     Measurements,
-    build_setup,
     calibrate,
     choose_poses,
     cross_validate,
     random_poses,
 )
+from hybrid.calibration.calibrate import build_setup
 from hybrid.calibration.geometry import (
     chain_from_values,
     geometry_from_chain,

@@ -17,10 +17,10 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import ModelFileError
-from hybrid.exports import program_from_model
 from hybrid.exports.simulator.friction import _CURVES, _FALLS, _KNEES, _fit, curve
 from hybrid.identification import DynamicModel
 from hybrid.model.model_file import _real, _whole
+from hybrid.model.program import program_from_model
 from hybrid.online.layout import RowLayout
 from hybrid.recording.joints import _by_name
 from hybrid.regression.problem import build_problem

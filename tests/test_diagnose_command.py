@@ -249,7 +249,7 @@ def test_both_links_make_one_diagnosis(tmp_path):
     assert sum(r.share for r in diagnosis.where if r.variable == "link") < 1.0 + 1e-6
     assert "Command latency" in "\n".join(verdict_lines(diagnosis))
     assert "Command latency" in render_diagnosis(replace(result, diagnosis=diagnosis))
-    notes = write_fixed(result, tmp_path).notes
+    notes = write_fixed(result, tmp_path)
     assert any("delay commands by 12 ms" in note for note in notes)
     assert "delay commands" in (tmp_path / SIMULATOR).read_text()
     ids = [e.id for e in DynamicModel.load(tmp_path / MODEL).effects]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated import arm
 
-from hybrid.diagnosis.answer.fixed import write_fixed
+from hybrid.diagnosis.answer.fixed import SIMULATOR, write_fixed
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.convention import Convention, find_convention
 from hybrid.diagnosis.gap.background import dry_friction
@@ -180,6 +180,7 @@ def test_a_declared_spring_that_is_not_there_is_found_with_its_sign():
 def test_a_declared_spring_that_is_too_soft_is_mended_in_the_file(tmp_path):
     result = sprung(stiffness=np.array([24.0, 4.0]))
     assert [f.effect for f in result.diagnosis.findings] == ["spring"]
-    fixed = Robot.load(write_fixed(result, tmp_path).simulator)
+    write_fixed(result, tmp_path)
+    fixed = Robot.load(tmp_path / SIMULATOR)
     np.testing.assert_allclose(fixed.stiffness, [24.0, 4.0], rtol=0.05)
     np.testing.assert_allclose(fixed.springref, [0.5, -0.3], rtol=0.05)

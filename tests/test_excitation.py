@@ -19,16 +19,15 @@ from hybrid.errors import ExcitationError
 from hybrid.excitation import (
     Condition,
     DOptimal,
-    ExpectedError,
     Fourier,
     Limits,
     Spline,
-    Trajectory,
     design,
     observe,
 )
+from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.experiments import Walk
-from hybrid.excitation.path import Grid, uniform
+from hybrid.excitation.path import Grid, Trajectory, uniform
 from hybrid.excitation.solver import solve
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot

@@ -8,16 +8,9 @@ import pytest
 from pendulum import pendulum
 
 from hybrid.errors import ExcitationError
-from hybrid.excitation import (
-    Condition,
-    Design,
-    DOptimal,
-    Fourier,
-    Limits,
-    Trajectory,
-    observe,
-)
+from hybrid.excitation import Condition, Design, DOptimal, Fourier, Limits, observe
 from hybrid.excitation import design as make
+from hybrid.excitation.path import Trajectory
 from hybrid.excitation.solver import Optimum
 
 

@@ -6,9 +6,9 @@ from arms import MODELS
 
 from hybrid.dynamics import regressor
 from hybrid.effects import effects_from_text
-from hybrid.excitation import Condition, ExpectedError, Fourier, Limits, design, observe
+from hybrid.excitation import Condition, Fourier, Limits, design, observe
 from hybrid.excitation.constraints import MotionLimits
-from hybrid.excitation.expected_error import typical_structure
+from hybrid.excitation.expected_error import ExpectedError, typical_structure
 from hybrid.excitation.observation import FIRST, PIVOTED, rigid_columns
 from hybrid.excitation.program import MotionProgram
 from hybrid.plant import Noise

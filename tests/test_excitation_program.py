@@ -7,18 +7,10 @@ import pytest
 from pendulum import pendulum
 
 from hybrid.errors import ExcitationError
-from hybrid.excitation import (
-    Condition,
-    DOptimal,
-    Fourier,
-    Limits,
-    Spline,
-    Trajectory,
-    observe,
-)
+from hybrid.excitation import Condition, DOptimal, Fourier, Limits, Spline, observe
 from hybrid.excitation.constraints import MotionLimits
 from hybrid.excitation.design import _infeasible
-from hybrid.excitation.path import Grid, quintic, uniform
+from hybrid.excitation.path import Grid, Trajectory, quintic, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import _updated, solve
 

@@ -12,8 +12,9 @@ from arms import MODELS
 from PIL import Image
 
 from hybrid.cli import main
-from hybrid.excitation import Fourier, Limits, Trajectory
+from hybrid.excitation import Fourier, Limits
 from hybrid.excitation.experiments import static_poses
+from hybrid.excitation.path import Trajectory
 from hybrid.report.excitation import postures_figure
 from hybrid.robot import Robot
 

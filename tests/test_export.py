@@ -28,15 +28,10 @@ from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import EffectError, HybridError, ModelFileError
-from hybrid.exports import (
-    FORMATS,
-    export,
-    manifest,
-    program_from_model,
-    read_manifest,
-)
+from hybrid.exports import FORMATS, export, manifest, read_manifest
 from hybrid.identification import DynamicModel
 from hybrid.model.model_file import content_from_model
+from hybrid.model.program import program_from_model
 from hybrid.plant import load_truth
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot

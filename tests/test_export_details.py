@@ -25,8 +25,9 @@ from hybrid.effects.thermal_friction import ThermalFriction
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridError, ModelFileError
-from hybrid.exports import export, program_from_model, read_manifest
+from hybrid.exports import export, read_manifest
 from hybrid.exports.c_code import c_number
+from hybrid.model.program import program_from_model
 from hybrid.plant.joint_fields import split_effects
 from hybrid.robot import Robot
 from hybrid.signals import Motion

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hybrid import files
+from hybrid.errors import HybridError
 from hybrid.files import (
     atomic_folder,
     atomic_path,
@@ -333,6 +334,6 @@ def test_a_path_is_written_beside_and_moved(tmp_path):
 )
 def test_yaml_beyond_measure_is_refused(tmp_path, text, words):
     (tmp_path / "x.yaml").write_text(text)
-    with pytest.raises(ValueError, match=words) as error:
+    with pytest.raises(HybridError, match=words) as error:
         read_yaml(tmp_path / "x.yaml")
     assert "\n" not in str(error.value)

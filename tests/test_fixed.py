@@ -13,7 +13,13 @@ from scipy.interpolate import CubicSpline
 from simulated import arm
 from test_simulator_file import CUBE
 
-from hybrid.diagnosis.answer.fixed import fixed_model, fixed_simulator, write_fixed
+from hybrid.diagnosis.answer.fixed import (
+    MODEL,
+    SIMULATOR,
+    fixed_model,
+    fixed_simulator,
+    write_fixed,
+)
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.gap.measure import measure_gap, split, unseen_samples
 from hybrid.dynamics import RigidBody
@@ -166,9 +172,9 @@ def load(path):
 
 
 def test_both_files_load_and_say_what_the_simulator_lacks(folder):
-    path, fixed = folder
-    mujoco.MjModel.from_xml_path(str(fixed.simulator))
-    robot, model = load(fixed.simulator), DynamicModel.load(fixed.model)
+    path, notes = folder
+    mujoco.MjModel.from_xml_path(str(path / SIMULATOR))
+    robot, model = load(path / SIMULATOR), DynamicModel.load(path / MODEL)
     assert robot.joints == arm("planar").joints
     np.testing.assert_allclose(robot.q_max, arm("planar").q_max, rtol=1e-5)
     np.testing.assert_allclose(robot.v_max, arm("planar").v_max, rtol=1e-5)
@@ -177,13 +183,13 @@ def test_both_files_load_and_say_what_the_simulator_lacks(folder):
     assert found <= {e.id for e in model.effects}
     ripples = [e for e in model.effects if e.id == "torque_ripple"]
     assert robot.ripple[:, 3].tolist() == [e.values["periods"] for e in ripples] != []
-    head = fixed.simulator.read_text(encoding="utf-8").split("-->")[0]
-    assert all(note in head for note in fixed.notes)
+    head = (path / SIMULATOR).read_text(encoding="utf-8").split("-->")[0]
+    assert all(note in head for note in notes)
 
 
 def test_the_model_predicts_what_the_findings_explain(folder):
-    _, fixed = folder
-    gap, model = diagnosed.planar().gap, DynamicModel.load(fixed.model)
+    path, _ = folder
+    gap, model = diagnosed.planar().gap, DynamicModel.load(path / MODEL)
     before, after = np.zeros(2), np.zeros(2)
     for k, (motion, _, sampler) in enumerate(gap):
         own = gap.trajectory == k
@@ -198,9 +204,9 @@ def test_the_model_predicts_what_the_findings_explain(folder):
 
 
 def test_the_written_links_are_the_fitted_ones(folder):
-    _, fixed = folder
+    path, _ = folder
     result = diagnosed.planar()
-    robot, (own, _) = load(fixed.simulator), fixed_simulator(result)
+    robot, (own, _) = load(path / SIMULATOR), fixed_simulator(result)
     for motion in result.gap.motions:
         np.testing.assert_allclose(
             RigidBody(robot.chain, motion).load,
@@ -212,9 +218,8 @@ def test_the_written_links_are_the_fitted_ones(folder):
 
 def test_nothing_found_leaves_the_simulator_as_it_stands(tmp_path):
     bare = replace(diagnosed.planar(), effects=())
-    fixed = write_fixed(bare, tmp_path)
-    robot, original = load(fixed.simulator), bare.gap.robot
-    assert fixed.notes == ()
+    assert write_fixed(bare, tmp_path) == ()
+    robot, original = load(tmp_path / SIMULATOR), bare.gap.robot
     for name in ("damping", "frictionloss"):
         np.testing.assert_allclose(getattr(robot, name), getattr(original, name))
     np.testing.assert_allclose(

@@ -294,7 +294,7 @@ def test_a_worker_that_is_lost_with_all_it_holds_is_made_up_for(tmp_path, asked)
     [
         ({"arms": {"a": {}}}, "arm a: no robot and no logs"),
         ({"arms": "nowhere", "robot": "scara.xml"}, "no such folder of arms"),
-        ({"arms": {}, "colour": 1}, "colour is not valid; valid are"),
+        ({"arms": {}, "colour": 1}, "unknown 'colour'; valid are"),
         ({"arms": {"a": {"logs": "x", "robot": "r", "payload": "heavy"}}}, "numbers"),
         ({"arms": {"a": {"logs": "x", "robot": "r"}}, "period": "hour"}, "valid are"),
         ({"arms": {"a": {"logs": "x", "robot": "r"}}, "track": ["rust"]}, "rust"),

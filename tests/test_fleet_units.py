@@ -318,7 +318,9 @@ def test_a_folder_of_folders_is_a_plan(tmp_path):
 
 def test_of_what_is_no_plan_eighty_characters_are_shown(tmp_path):
     (tmp_path / "plan.xml").write_text(f"<mujoco{3000 * 'x'}/>")
-    with pytest.raises(HybridError, match="'<mujocox{72} is not valid; valid are arms"):
+    with pytest.raises(
+        HybridError, match="'<mujocox{72}, not a table; valid are keys arms"
+    ):
         read_plan(tmp_path / "plan.xml")
 
 
@@ -329,7 +331,7 @@ def test_of_what_is_no_plan_eighty_characters_are_shown(tmp_path):
         ("time_limit: true", "time_limit is True"),
         ("period: year", "valid are day, week, month, log"),
         ("diagnose: 1", "diagnose is true or false"),
-        ("speed: 1", "speed is not valid"),
+        ("speed: 1", "unknown 'speed'"),
         ("tool: [1, 2]", "tool 2; valid are up to 10, and 3 or none"),
         ("payload: a", "payload, tool and limits are numbers"),
         ("limits: {coulomb: much}", "payload, tool and limits are numbers"),

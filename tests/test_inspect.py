@@ -27,7 +27,8 @@ from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.identification import DynamicModel, identify, predict, validate
-from hybrid.inspect import Doubt, check_recordings, inspect_recording
+from hybrid.inspect import check_recordings, inspect_recording
+from hybrid.inspect.doubt import Doubt
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import write
 from hybrid.robot import Robot

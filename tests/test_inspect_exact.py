@@ -14,9 +14,9 @@ from scipy.optimize import nnls
 from hybrid.dynamics import inverse_dynamics
 from hybrid.dynamics.regressor import regressor
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.inspect import Doubt, check_recordings, inspect_recording
+from hybrid.inspect import check_recordings, inspect_recording
 from hybrid.inspect.coverage import coverage_of, excitation_of
-from hybrid.inspect.doubt import raise_or_warn
+from hybrid.inspect.doubt import Doubt, raise_or_warn
 from hybrid.inspect.glitches import doubts_of_rows
 from hybrid.inspect.inspection import clock_of
 from hybrid.inspect.masses import MassColumns, smooth_sign, unit_masses

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, lfilter_zi
 
-from hybrid.online import Health, Sample
+from hybrid.online import Sample
+from hybrid.online.health import Health
 from hybrid.online.intake import Intake
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 

@@ -282,8 +282,8 @@ def test_a_map_is_a_file_a_preset_or_a_dict(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({"Q": "a"}, "unknown key 'Q'; valid are preset, joints"),
-        ({"Q": "a", "q": "q{}", "V": "b"}, "unknown key 'Q'; valid are preset, joints"),
+        ({"Q": "a"}, "unknown 'Q'; valid are keys preset, joints"),
+        ({"Q": "a", "q": "q{}", "V": "b"}, "unknown 'Q', 'V'; valid are keys preset, "),
         ({"preset": "kuka"}, "unknown preset 'kuka'; valid are ur_rtde"),
         ({"q": 3}, "q is 3; valid are a label with {}"),
         ({"q": {"unit": "kg"}}, "unit 'kg' is none of rad or m; valid are"),
@@ -296,7 +296,7 @@ def test_a_map_is_a_file_a_preset_or_a_dict(tmp_path):
         ({"time": {"rate": 0}}, "valid is a rate above 0, in Hz"),
         ({"time": "clock"}, "no column 'clock' among time, q1"),
         ("my.json", "my.json: no map; valid are a .yaml file and ur_rtde"),
-        ("none.yaml", "none.yaml: cannot be read as a map"),
+        ("none.yaml", "none.yaml: not a readable YAML file"),
     ],
 )
 def test_a_map_that_fits_nothing_says_what_is_valid(tmp_path, content, message):

@@ -93,8 +93,8 @@ def test_a_map_is_above_its_preset_channel_by_channel():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"qq": 1, "x": 2}, "unknown key 'qq'"), ([1], r"is \[1\], not a map"),
-        (None, "map: is empty, not a map"), ({"joints": ["a", "a"]}, "each once"),
+        ({"qq": 1, "x": 2}, "unknown 'qq', 'x'"), ([1], r"is \[1\], not a table"),
+        (None, "map: is empty, not a table"), ({"joints": ["a", "a"]}, "each once"),
         ({"joints": {"m": ["a"]}}, "joints is {'m'"),
         ({"preset": "mine"}, "unknown preset 'mine'"), ({"joints": 3}, "joints is 3"),
         ({"q": {"unit": "kg"}}, "unit 'kg' is none of rad or m"),

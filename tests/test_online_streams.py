@@ -14,7 +14,8 @@ from test_online import RATE, after_thirty_seconds, arm, effects, log, tracked
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects import effects_from_text
 from hybrid.errors import IdentificationError
-from hybrid.online import Health, OnlineIdentifier, Sample
+from hybrid.online import OnlineIdentifier, Sample
+from hybrid.online.health import Health
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot

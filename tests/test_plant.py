@@ -12,18 +12,11 @@ from hypothesis import strategies as st
 
 from hybrid.effects import Effect, Port, effect_class
 from hybrid.errors import EffectError, HybridError, HybridWarning, RobotError
-from hybrid.plant import (
-    Noise,
-    Plant,
-    Reference,
-    Servo,
-    load_truth,
-    random_fourier,
-    simulate,
-)
+from hybrid.plant import Noise, Plant, Reference, load_truth, random_fourier, simulate
 from hybrid.plant.arm import build_arm, inverse_dynamics
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.reference import limits
+from hybrid.plant.servo import Servo
 from hybrid.robot import Robot
 
 HINGE = """<mujoco><compiler angle="radian"/><worldbody><body>
@@ -802,15 +795,15 @@ def test_a_truth_is_a_nominal_robot_and_a_plant_that_differs(two_links, tmp_path
     [
         ("robot: arm.xml", "", "no robot"),
         ("robot: arm.xml", "robot: none.xml", "no such robot"),
-        ("inertial:", "inertia:", "unknown inertia; valid are robot"),
+        ("inertial:", "inertia:", "unknown 'inertia'; valid are keys robot"),
         ("joint: elbow", "joint: knee", "no joint 'knee'"),
         ("mass: 1.1", "mass: -1", "above 0"),
-        ("mass: 1.1", "weight: 1.1", "unknown weight"),
+        ("mass: 1.1", "weight: 1.1", "unknown 'weight'"),
         ("effect: coulomb", "effect: magic", "no effect 'magic'"),
         ("{level: 0.5}", "{height: 0.5}", "no parameter height"),
         ("torque_std: [0.2, 0.1]", "torque_std: [1, 2, 3]", "torque_std"),
         ("torque_std: [0.2, 0.1]", "torque_std: loud", "truth.yaml"),
-        ("log_rate: 250", "rate: 250", "unknown rate"),
+        ("log_rate: 250", "rate: 250", "unknown 'rate'"),
         ("log_rate: 250", "log_rate: [", "not a readable YAML"),
     ],
 )

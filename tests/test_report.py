@@ -14,6 +14,7 @@ from rich.console import Console
 import hybrid
 from hybrid import report
 from hybrid.errors import HybridError
+from hybrid.report.fit import torque_figure
 
 STAGES = ("LS", "WLS", "IRLS", "+ friction", "+ remainder")
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -60,7 +61,7 @@ def torques(n: int = 3, samples: int = 200):
 
 
 def drawing():
-    return report.torque_figure(*torques(), JOINTS)
+    return torque_figure(*torques(), JOINTS)
 
 
 class Loads(HTMLParser):
@@ -115,7 +116,7 @@ def test_terminal_table_takes_no_name_for_markup():
 def test_torque_figure_has_torque_and_residual_of_each_joint(n):
     t, measured, predicted = torques(n)
     joints = [f"joint {j}" for j in range(n)]
-    figure = report.torque_figure(t, measured, predicted, joints)
+    figure = torque_figure(t, measured, predicted, joints)
     assert len(figure.axes) == 2 * n
     residual = figure.axes[1].lines[0].get_ydata()
     np.testing.assert_allclose(residual, 0.2 * measured[:, 0])
@@ -124,9 +125,9 @@ def test_torque_figure_has_torque_and_residual_of_each_joint(n):
 def test_torque_figure_refuses_what_it_cannot_draw():
     t, measured, predicted = torques()
     with pytest.raises(HybridError, match="full has shape"):
-        report.torque_figure(t, measured, {"full": predicted["full"][:, :2]}, JOINTS)
+        torque_figure(t, measured, {"full": predicted["full"][:, :2]}, JOINTS)
     with pytest.raises(HybridError, match="valid are 1 to 3"):
-        report.torque_figure(t, measured, dict.fromkeys("abcd", measured), JOINTS)
+        torque_figure(t, measured, dict.fromkeys("abcd", measured), JOINTS)
 
 
 @pytest.mark.parametrize(

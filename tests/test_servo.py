@@ -18,8 +18,8 @@ from hybrid.errors import HybridWarning, RecordingError, RobotError
 from hybrid.recording import Recording, read, write
 from hybrid.report.servo import servos_table
 from hybrid.robot import Robot
-from hybrid.servo import Drive, fit_servo
-from hybrid.servo.drive import NAMES, QUANTITIES, known_masses
+from hybrid.servo import fit_servo
+from hybrid.servo.drive import NAMES, QUANTITIES, Drive, known_masses
 from hybrid.servo.model import bristles, heights
 from hybrid.servo.noise import Noise, resolution
 from hybrid.servo.problem import Problem

@@ -17,10 +17,10 @@ from hybrid.signals import (
     butterworth,
     central_difference,
     choose_cutoff,
-    filter_reach,
     motion_from_recording,
     speed_against_position,
 )
+from hybrid.signals.filters import filter_reach
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 RATE = 500.0

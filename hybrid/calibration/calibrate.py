@@ -10,11 +10,7 @@ import numpy as np
 from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.calibration.alignment import align
-from hybrid.calibration.geometry import (
-    Geometry,
-    chain_from_values,
-    geometry_from_chain,
-)
+from hybrid.calibration.geometry import Geometry, chain_from_values, geometry_from_chain
 from hybrid.calibration.measurements import Measurements
 from hybrid.calibration.model import KinematicModel, Steps
 from hybrid.calibration.solve import KinematicSolution, solve

@@ -12,16 +12,15 @@ as χ² with Satterthwaite's degrees of freedom. Bell & McCaffrey 2002; Imbens &
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 
 _SINGULAR = 1e-9  # share of a measurement's noise in its residual that counts as zero
 
 
 def clustered_covariance(
-    jacobian: Array, residual: Array, pose: NDArray[np.intp]
+    jacobian: Array, residual: Array, pose: Index
 ) -> tuple[Array, Array]:
     """Covariance of estimates, (b, b), and degrees of freedom of each variance, (b,).
 

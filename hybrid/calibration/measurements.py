@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.errors import CalibrationError
 
 
@@ -89,7 +88,7 @@ class Measurements:
             return "distance"
         return "position" if self.rotation is None else "pose"
 
-    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Measurements:
+    def at(self, rows: Index | Mask) -> Measurements:
         """Some of the poses."""
         return Measurements(
             self.q[rows],

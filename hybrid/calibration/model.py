@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.calibration.measurements import Measurements
 from hybrid.calibration.steps import FixedStep, Frame, Step, Values, follow, start
 
@@ -29,7 +28,7 @@ class Block:
     name: str
     residual: Array
     jacobian: Array
-    pose: NDArray[np.intp]
+    pose: Index
 
 
 @dataclass(frozen=True)

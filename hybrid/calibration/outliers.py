@@ -9,10 +9,9 @@ Hadi 1992, doi 10.1111/j.2517-6161.1992.tb01449.x).
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainccinv, fdtri
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 
 OUTSIDE = 5e-4  # probability that a good measurement is rejected
 _SINGULAR = 1e-9  # share of the noise in a residual that counts as zero
@@ -22,7 +21,7 @@ def misfit(
     residual: Array,
     jacobian: Array,
     inverse: Array,
-    kept: NDArray[np.bool_],
+    kept: Mask,
     freedom: float,
 ) -> Array:
     """Size of each unit's residual over the bound of the outlier test, shape (U,).

@@ -1,9 +1,8 @@
 """Optimal choice of poses for a calibration."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.calibration.calibrate import USUAL, build_setup
 from hybrid.calibration.geometry import geometry_from_chain
 from hybrid.calibration.measurements import Measurements
@@ -42,7 +41,7 @@ def choose_poses(
     *,
     kind: str = "position",
     free: tuple[str, ...] = USUAL,
-) -> NDArray[np.intp]:
+) -> Index:
     """Choose the poses with the largest observability index O₁.
 
     Poses are added one by one, each the best addition, and then exchanged while that

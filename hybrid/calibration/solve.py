@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.calibration.covariance import clustered_covariance
 from hybrid.calibration.measurements import Measurements
 from hybrid.calibration.model import Block, KinematicModel
@@ -150,7 +149,7 @@ class _Fit:
 
     labels: tuple[str, ...]
     freedom: dict[str, float]  # degrees of freedom of each kind's noise
-    kept: dict[str, NDArray[np.bool_]]  # units of each kind that are not rejected
+    kept: dict[str, Mask]  # units of each kind that are not rejected
 
     def __init__(
         self, model: KinematicModel, data: Measurements, load: Array | None
@@ -196,7 +195,7 @@ class _Fit:
             self.evaluations += 1
         return self._last[1]
 
-    def weighted(self, x: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+    def weighted(self, x: Array) -> tuple[Array, Array, Index]:
         """Residuals and derivatives over noise, and the pose of each row."""
         rows = []
         for b in self.blocks(x):

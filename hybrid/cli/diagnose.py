@@ -193,7 +193,7 @@ def _few(notes: Sequence[str]) -> str:
 def _fix(result: Result, folder: Path, home: Path) -> tuple[str, ...] | None:
     """Write the corrected simulator, or warn that it cannot be simulated."""
     try:
-        return fixed.write_fixed(result, folder, home=home).notes
+        return fixed.write_fixed(result, folder, home=home)
     except EffectError as error:
         warn(f"no corrected simulator: {error}")
         return None

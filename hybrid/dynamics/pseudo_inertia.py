@@ -7,9 +7,8 @@ Source: Wensing, Kim and Slotine 2018, doi 10.1109/LRA.2017.2729659.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.robot.chain import Chain
 from hybrid.robot.spatial import INERTIA
 
@@ -48,7 +47,7 @@ def _trace(matrix: Array) -> Array:
     return np.asarray(np.trace(matrix, axis1=-2, axis2=-1))[..., None, None]
 
 
-def is_consistent(inertial: Array) -> NDArray[np.bool_]:
+def is_consistent(inertial: Array) -> Mask:
     """Whether each link, shape (..., 10), is physically consistent, shape (...).
 
     Point masses and rods, which have no width in some direction, are consistent.

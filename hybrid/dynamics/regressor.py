@@ -9,9 +9,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.dynamics.law import Law
 from hybrid.dynamics.newton_euler import newton_euler, unit_torques
 from hybrid.dynamics.tape import Symbol, Tape
@@ -77,7 +76,7 @@ def regressor_gradient(
 
 
 def torque_gradient(
-    chain: Chain, q: Array, v: Array, a: Array, inertial: Array, joint: NDArray[np.intp]
+    chain: Chain, q: Array, v: Array, a: Array, inertial: Array, joint: Index
 ) -> tuple[Array, Array, Array]:
     """Derivatives of one joint's rigid-body torque in each sample by the motion.
 

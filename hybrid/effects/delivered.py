@@ -1,15 +1,14 @@
 """Torque that a drive delivers, where a file lacks friction and rotor of its joint."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 
 _MOVING = 0.05  # of the highest speed; at rest friction balances any torque
 _FEWEST_SAMPLES = 100  # for a fit
 
 
-def moving(v: Array) -> NDArray[np.bool_]:
+def moving(v: Array) -> Mask:
     """Samples at which a joint moves, by its speed in rad/s, shape (N,)."""
     return np.asarray(np.abs(v) > _MOVING * np.abs(v).max(initial=0.0))
 
@@ -19,7 +18,7 @@ def delivered_torque(
     a: Array,
     tau: Array,
     asked: Array,
-    use: NDArray[np.bool_],
+    use: Mask,
     *lost: Array,
 ) -> Array:
     """The file's torque plus friction and rotor that the file may lack, shape (N,).

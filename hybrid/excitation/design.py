@@ -13,12 +13,7 @@ import numpy as np
 from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
-from hybrid.excitation.constraints import (
-    Constraint,
-    Limits,
-    MotionLimits,
-    TorqueLimits,
-)
+from hybrid.excitation.constraints import Constraint, Limits, MotionLimits, TorqueLimits
 from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition
 from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.families import Fourier

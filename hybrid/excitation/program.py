@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.excitation.constraints import Constraint, Limits
 from hybrid.excitation.criteria import Criterion
 from hybrid.excitation.observation import Observation
@@ -243,7 +242,7 @@ class MotionProgram:
         return found
 
 
-def _peaks(x: Array) -> NDArray[np.bool_]:
+def _peaks(x: Array) -> Mask:
     """True at local maxima along the first axis, and at both ends."""
     edge = np.full((1, x.shape[1]), -np.inf)
     rises = x >= np.concatenate([edge, x[:-1]])

@@ -12,10 +12,9 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 
 Kind = Literal["step", "trend"]
 
@@ -73,7 +72,7 @@ class Level:
     covariance: float
 
 
-def _shapes(t: Array) -> tuple[Array, NDArray[np.intp], int]:
+def _shapes(t: Array) -> tuple[Array, Index, int]:
     """Steps, then ramps, shape (N, shapes); their first periods; number of steps."""
     n = len(t)
     steps = np.arange(_BEFORE, n - _AFTER + 1)

@@ -17,7 +17,7 @@ from typing import Any
 from hybrid import __version__
 from hybrid.errors import HybridError
 from hybrid.extras import check_extra
-from hybrid.files import read_yaml
+from hybrid.files import checked_table, read_yaml
 from hybrid.fleets.changes import MONTH
 from hybrid.fleets.estimate import followed
 from hybrid.names import name_fault
@@ -129,11 +129,7 @@ def read_plan(path: str | Path, *, robot: str | Path | None = None) -> Plan:
         content: Any = {"robot": str(Path(robot).resolve()), "arms": "."}
         folder = path
     else:
-        folder = path.parent
-        try:
-            content = read_yaml(path)
-        except (OSError, ValueError) as error:
-            raise HybridError(f"{path}: not a readable plan ({error})") from error
+        content, folder = read_yaml(path), path.parent
     return plan_from_dict(content, folder, source=str(path))
 
 
@@ -147,7 +143,7 @@ def plan_from_dict(
     """
     own = set(Plan.__dataclass_fields__) - {"arms"}
     common = set(ArmPlan.__dataclass_fields__) - {"name", "logs"}
-    _check_keys(content, own | common | {"arms"}, source)
+    content = checked_table(content, sorted(own | common | {"arms"}), source)
     arms, base = content.get("arms"), {k: content[k] for k in common & set(content)}
     if isinstance(arms, str):
         arms = {Path(x).name: {"logs": x} for x in _folders(_resolved(arms, folder))}
@@ -158,8 +154,8 @@ def plan_from_dict(
         where = f"{source}: arm {name}"
         if fault := name_fault(name):
             raise HybridError(f"{source}: an arm's {fault}")
-        _check_keys(entry, common | {"logs"}, where)
-        found.append(_arm(str(name), base | dict(entry), folder, where))
+        entry = checked_table(entry, sorted(common | {"logs"}), where)
+        found.append(_arm(str(name), base | entry, folder, where))
     arms = tuple(sorted(found, key=lambda x: x.name))
     plan = Plan(arms, **{k: content[k] for k in own & set(content)})
     for name in ("time_limit", "false_alarms"):
@@ -210,16 +206,6 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
         tuple(entry.get("joints", ())),
         entry.get("map"),
     )
-
-
-def _check_keys(content: Any, valid: set[str], where: str) -> None:
-    is_table = isinstance(content, Mapping)
-    strange = set(map(str, content)) - valid if is_table else {f"{content!r:.80}"}
-    if strange:
-        raise HybridError(
-            f"{where}: {', '.join(sorted(strange))} is not valid; valid are "
-            f"{', '.join(sorted(valid))}"
-        )
 
 
 def _resolved(path: str, folder: str | Path) -> str:

@@ -7,16 +7,15 @@ estimate of one arm is shrunk towards the mean (Efron and Morris 1975, doi
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 
 FEWEST = 4  # arms in a group
 _FALSE_RATE = 0.01  # probability of any outlier in a group without one
 
 
-def pooled(y: Array, s: Array) -> tuple[Array, NDArray[np.bool_]]:
+def pooled(y: Array, s: Array) -> tuple[Array, Mask]:
     """Estimate of each of A arms, and whether it is an outlier, shape (A,) each.
 
     An arm is compared with the distribution of all others, at a level for all arms
@@ -36,7 +35,7 @@ def pooled(y: Array, s: Array) -> tuple[Array, NDArray[np.bool_]]:
     return weight * y + (1 - weight) * mean, unlike
 
 
-def _p_value(y: Array, s: Array, rest: NDArray[np.intp], k: int) -> float:
+def _p_value(y: Array, s: Array, rest: Index, k: int) -> float:
     """Probability of a value of arm k at least as far from the mean of the others."""
     others = rest[rest != k]
     mean, spread, error = _mean_and_spread(y[others], s[others])

@@ -18,11 +18,7 @@ from scipy.linalg import block_diag, eigh
 
 from hybrid.arrays import Array
 from hybrid.dynamics.cone import nearest_above
-from hybrid.dynamics.pseudo_inertia import (
-    inertial_per_stacked,
-    nominal_bodies,
-    stacked,
-)
+from hybrid.dynamics.pseudo_inertia import inertial_per_stacked, nominal_bodies, stacked
 from hybrid.errors import IdentificationError
 from hybrid.regression.problem import Problem
 from hybrid.robot.chain import Chain

@@ -8,10 +8,9 @@ gain over the blocks exceeds its own uncertainty.
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.effects import Effect
 from hybrid.identification.solution import Solution
 
@@ -20,7 +19,7 @@ Terms = Mapping[int, list[Effect]]  # the effects of each joint
 _CHANCE = 0.025  # probability that noise alone passes
 
 
-def lowers(before: Array, after: Array, *, tried: int = 1) -> NDArray[np.bool_]:
+def lowers(before: Array, after: Array, *, tried: int = 1) -> Mask:
     """Whether the held-out squares of each joint fall significantly, shape (n,).
 
     They are those of each block without a term and with it, shape (B, n), [N²·m²]; it

@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.identification.gate import lowers
@@ -137,7 +136,7 @@ def _learned(
     x = _inputs(residual.q, residual.v, inputs)[moving]
     y, fold = residual.tau[moving, joint, None], residual.fold[moving]
 
-    def fit(held: NDArray[np.bool_]) -> GaussianMixtureRegression:
+    def fit(held: Mask) -> GaussianMixtureRegression:
         return fit_gmr(
             x[~held],
             y[~held],

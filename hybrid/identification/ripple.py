@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.effects import Effect, JointState
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.identification.partial_regression import PartialRegression
@@ -96,7 +95,7 @@ class _Piece:
     q: Array
     v: Array
     sampler: Sampler
-    use: NDArray[np.bool_]
+    use: Mask
     rows: Array
     fold: Index
     block: Index

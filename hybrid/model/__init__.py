@@ -1,5 +1,4 @@
 """The identified model of drive torque, and its file."""
 
-from hybrid.model.dynamic_model import DynamicModel, check_same_arm
-
-__all__ = ["DynamicModel", "check_same_arm"]
+from hybrid.model.dynamic_model import DynamicModel as DynamicModel
+from hybrid.model.dynamic_model import check_same_arm as check_same_arm

@@ -16,12 +16,7 @@ from hybrid.dynamics import BaseParameters, RigidBody
 from hybrid.effects import Effect
 from hybrid.errors import ModelFileError
 from hybrid.model.model_file import read_model, write_model
-from hybrid.model.program import (
-    Program,
-    is_instant,
-    program_from_model,
-    shows_noise,
-)
+from hybrid.model.program import Program, is_instant, program_from_model, shows_noise
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 from hybrid.signals.filters import LOWER_BAND, butterworth

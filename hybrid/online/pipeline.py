@@ -3,9 +3,8 @@
 from collections.abc import Generator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.online.columns import InstantColumns
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
@@ -67,7 +66,7 @@ class Pipeline:
 
     def _states(
         self, differentiator: LocalPolynomial, samples: Array
-    ) -> Generator[None, None, tuple[States, NDArray[np.bool_]]]:
+    ) -> Generator[None, None, tuple[States, Mask]]:
         """The states of all groups, and which of them can be trusted."""
         q = samples[:, 1 : 1 + len(self._standing)]
         powers, trusted = differentiator.windows(samples[:, 0])

@@ -1,6 +1,6 @@
 """Reader of the YAML file that describes a simulated plant."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import effect_from_dict
 from hybrid.errors import HybridError
-from hybrid.files import read_yaml
+from hybrid.files import checked_table, read_yaml
 from hybrid.plant.noise import Noise
 from hybrid.plant.plant import Plant
 from hybrid.robot.library import robot_file
@@ -47,21 +47,18 @@ def load_truth(path: str | Path) -> tuple[Robot, Plant]:
         HybridError: The file cannot be read, or is not valid.
     """
     path = Path(path)
-    try:
-        content = _mapping(read_yaml(path), _KEYS, str(path))
-    except (OSError, ValueError) as error:
-        raise HybridError(f"{path}: not a readable YAML file ({error})") from error
+    content = checked_table(read_yaml(path), _KEYS, str(path))
     if "robot" not in content:
         raise HybridError(f"{path}: no robot")
     nominal = Robot.load(robot_file(str(content["robot"]), path.parent))
     try:
         real = _perturbed(nominal, content.get("inertial") or ())
         effects = [
-            effect_from_dict(_mapping(item, None, "an effect"), nominal.joints)
+            effect_from_dict(item, nominal.joints)
             for item in content.get("effects") or ()
         ]
         noise = _noise(content.get("noise"), nominal)
-        options = _mapping(content.get("plant") or {}, _PLANT, "plant")
+        options = checked_table(content.get("plant") or {}, _PLANT, "plant")
         plant = Plant(real, effects, nominal=nominal, noise=noise, **options)
     except HybridError as error:
         raise type(error)(f"{path}: {error}") from error
@@ -70,24 +67,13 @@ def load_truth(path: str | Path) -> tuple[Robot, Plant]:
     return nominal, plant
 
 
-def _mapping(content: Any, keys: Sequence[str] | None, where: str) -> dict[str, Any]:
-    if not isinstance(content, Mapping):
-        raise HybridError(f"{where} needs names with values, not {content!r:.40}")
-    strange = [str(key) for key in content if keys is not None and key not in keys]
-    if strange:
-        raise HybridError(
-            f"{where}: unknown {', '.join(strange)}; valid are {', '.join(keys or ())}"
-        )
-    return dict(content)
-
-
 def _perturbed(robot: Robot, items: Any) -> Robot:
     """The arm with multiplied link parameters."""
     inertial = robot.chain.inertial.copy()
     if not isinstance(items, Sequence):
         raise HybridError("inertial needs a list of joints with multipliers")
     for entry in items:
-        item = _mapping(entry, ("joint", *_MULTIPLIERS), "inertial")
+        item = checked_table(entry, ("joint", *_MULTIPLIERS), "inertial")
         k = robot.joint_index(str(item.get("joint")))
         mass_by, moment_by, inertia_by = (
             float(item.get(key, 1.0)) for key in _MULTIPLIERS
@@ -104,7 +90,7 @@ def _perturbed(robot: Robot, items: Any) -> Robot:
 def _noise(content: Any, robot: Robot) -> Noise:
     if content is None:
         return Noise.typical(robot)
-    item = _mapping(content, _NOISE, "noise")
+    item = checked_table(content, _NOISE, "noise")
     n = robot.size
 
     def each(key: str) -> Array:

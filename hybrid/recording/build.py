@@ -6,12 +6,10 @@ to its clock.
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import AnyArray, Array
 from hybrid.errors import RecordingError, warn
 from hybrid.recording.assignment import Assignment, listed
 from hybrid.recording.mapping import Map, Mapping, read_mapping
@@ -125,7 +123,7 @@ def _built(table: LogTable, reading: Reading, *, torque: bool) -> Recording:
 
 def _samples(
     table: LogTable, time: Used, groups: dict[str, tuple[Used, ...]]
-) -> tuple[NDArray[Any], dict[str, Array]]:
+) -> tuple[AnyArray, dict[str, Array]]:
     """Clock of the file, shape (N,), and channels in SI, shape (N, n).
 
     If a map gives a rate in place of a clock, the clock counts rows.
@@ -150,7 +148,7 @@ def _samples(
 
 def _fill(
     values: Array,
-    block: dict[int, NDArray[Any]],
+    block: dict[int, AnyArray],
     used: tuple[Used, ...],
     table: LogTable,
 ) -> None:

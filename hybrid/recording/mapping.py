@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hybrid.errors import RecordingError
-from hybrid.files import read_yaml
+from hybrid.files import checked_table, read_yaml
 from hybrid.recording.labels import split_unit
 from hybrid.recording.recording import CHANNELS
 from hybrid.recording.units import SI, converted
@@ -123,11 +123,7 @@ def read_mapping(given: Map) -> Mapping:
         raise RecordingError(
             f"{given}: no map; valid are a .yaml file and {', '.join(PRESETS)}"
         )
-    try:
-        content = read_yaml(given)
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{given}: cannot be read as a map: {error}") from error
-    return _mapping(content, str(given))
+    return _mapping(read_yaml(given, RecordingError), str(given))
 
 
 def preset_of(labels: tuple[str, ...], name: str = "") -> Mapping:
@@ -142,15 +138,7 @@ def preset_of(labels: tuple[str, ...], name: str = "") -> Mapping:
 
 
 def _mapping(content: Any, origin: str) -> Mapping:
-    if not isinstance(content, dict):
-        found = "empty" if content is None else f"{content!r:.80}"
-        raise RecordingError(
-            f"{origin}: is {found}, not a map; valid are keys {', '.join(_KEYS)}"
-        )
-    if unknown := [key for key in content if key not in _KEYS]:
-        raise RecordingError(
-            f"{origin}: unknown key {str(unknown[0])!r}; valid are {', '.join(_KEYS)}"
-        )
+    content = checked_table(content, _KEYS, origin, RecordingError)
     preset, joints = str(content.get("preset", "")), content.get("joints", [])
     if preset and preset not in PRESETS:
         raise RecordingError(

@@ -3,17 +3,15 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
-from numpy.typing import NDArray
-
+from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.names import printable
 
 LARGEST_FILE = 4 << 30  # bytes; an hour at 1 kHz of 50 joints is less
 MOST_COLUMNS = 20_000  # of a table
 
-Load = Callable[[tuple[int, ...]], list[dict[int, NDArray[Any]]]]
+Load = Callable[[tuple[int, ...]], list[dict[int, AnyArray]]]
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def as_recording_error(source: object, kind: str) -> Iterator[None]:
 
 
 def check_numbers(
-    x: NDArray[Any], label: str, place: str, *, timed: bool, most_axes: int = 1
+    x: AnyArray, label: str, place: str, *, timed: bool, most_axes: int = 1
 ) -> None:
     """Refuse samples that are no numbers, or have too many axes; time may be dates."""
     kinds = "fiuM" if timed else "fiu"

@@ -5,9 +5,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import AnyArray, Array
 
 SI = {
     "time": ("s",),
@@ -69,7 +68,7 @@ def _by_pint(unit: str, channel: str) -> tuple[float, float] | None:
     return None
 
 
-def seconds(x: NDArray[Any], unit: str) -> tuple[Array, str]:
+def seconds(x: AnyArray, unit: str) -> tuple[Array, str]:
     """Convert a clock to seconds; return it with its original unit.
 
     If the unit is not stated, it follows from the size of times that count from 1970.

@@ -3,17 +3,16 @@
 import csv
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.files import atomic_path
 from hybrid.recording.formats.parquet import check_parquet
 from hybrid.recording.recording import Recording, numbered_joints
 
-Columns = Mapping[str, NDArray[Any]]
+Columns = Mapping[str, AnyArray]
 
 
 def write(recording: Recording, path: str | Path) -> None:
@@ -23,7 +22,7 @@ def write(recording: Recording, path: str | Path) -> None:
         RecordingError: The suffix is unknown or the file cannot be written.
     """
     numbered = recording.joints == numbered_joints(recording.size)
-    columns: dict[str, NDArray[Any]] = {"time": recording.t}
+    columns: dict[str, AnyArray] = {"time": recording.t}
     for channel, x in recording.channels.items():
         for k, joint in enumerate(recording.joints):
             columns[f"{channel}{k + 1}" if numbered else f"{channel}_{joint}"] = x[:, k]

@@ -11,9 +11,8 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.errors import IdentificationError
 from hybrid.regression.data import Data
 from hybrid.regression.problem import Problem
@@ -165,7 +164,7 @@ def _add_by_block(
     sums: tuple[Array, ...],
     block: Index,
     D: Array,
-    moving: NDArray[np.bool_],
+    moving: Mask,
 ) -> None:
     """Add products of rows (P, N) to the blocks of their samples, where joints move."""
     parts = np.split(D, np.cumsum([x.shape[1] for x in sums])[:-1])

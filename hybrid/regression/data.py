@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.effects import Scale
 from hybrid.errors import RecordingError
 from hybrid.regression.chunk import Chunk, chunks_along
@@ -144,7 +143,7 @@ class Data:
         return visited(self.motions)
 
     @cached_property
-    def resting(self) -> NDArray[np.bool_]:
+    def resting(self) -> Mask:
         """Whether each joint stands all the time, shape (n,)."""
         return self.visited["v_max"] <= self.standing
 
@@ -154,7 +153,7 @@ class Data:
         each = [self.moves(m).sum(axis=0) for m in self.motions]
         return np.asarray(np.maximum(np.sum(each, axis=0), 1.0))
 
-    def moves(self, motion: Motion) -> NDArray[np.bool_]:
+    def moves(self, motion: Motion) -> Mask:
         """Samples that are not masked and at which each joint moves, shape (N, n)."""
         moves = np.abs(motion.v) > self.standing
         return np.asarray(moves & motion.mask[:, None])
@@ -185,7 +184,7 @@ class Residual:
     q: Array
     v: Array
     tau: Array
-    moving: NDArray[np.bool_]
+    moving: Mask
     fold: Index
 
 

@@ -13,9 +13,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
@@ -100,7 +99,7 @@ class Problem:
         return (0, *np.cumsum([len(x) + 1 for x in self.support]).tolist())
 
     @cached_property
-    def link_rows(self) -> NDArray[np.bool_]:
+    def link_rows(self) -> Mask:
         """Which :meth:`rows` are columns of links, shape (P,)."""
         links = len(self.rigid)
         return np.concatenate([np.append(x, links) < links for x in self.support])

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics.kinematics import frames
 from hybrid.errors import RobotError
+from hybrid.excitation import Design, Limits
 from hybrid.excitation.clearance import ends_in_world
 from hybrid.names import figure_text
+from hybrid.plant.reference import Reference
 from hybrid.report.style import (
     BLUE,
     GREY,
     OTHERS,
     RED,
+    Figure,
     clean,
     legend,
     lines_figure,
@@ -25,12 +28,6 @@ from hybrid.report.style import (
 )
 from hybrid.robot.geometry import capsules_from_robot
 from hybrid.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from hybrid.excitation import Design, Limits
-    from hybrid.plant.reference import Reference
 
 _COLUMNS = 4
 _THICKEST = 24.0  # points

@@ -1,27 +1,21 @@
 """Show an identification: tables, torque over time, and content for JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array
+from hybrid.effects import Effect
 from hybrid.errors import HybridError
-from hybrid.report.style import BEST, OTHERS, PALE, lines_figure
+from hybrid.identification import DynamicModel, Fit
+from hybrid.recording import Recording
+from hybrid.report.style import BEST, OTHERS, PALE, Figure, lines_figure
 from hybrid.report.table import Table, error_table
+from hybrid.robot import Robot
 from hybrid.shown import decimals_of
 from hybrid.signals import Motion, Sampler, motion_from_recording
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from hybrid.effects import Effect
-    from hybrid.identification import DynamicModel, Fit
-    from hybrid.recording import Recording
-    from hybrid.robot import Robot
 
 _EXCERPT_SECONDS = 3.0  # of a recording in a figure
 

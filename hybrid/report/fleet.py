@@ -1,7 +1,5 @@
 """Show a fleet: ranked list, heat map, timelines, and gauges for Prometheus."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,7 +7,7 @@ from dataclasses import replace
 from datetime import date
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -19,12 +17,9 @@ from hybrid.fleets import Fleet, State
 from hybrid.fleets.changes import MONTH, Change
 from hybrid.names import figure_text, file_stems
 from hybrid.report.output import Section, write_page
-from hybrid.report.style import BLUE, GREY, PALE, RED, new_figure, panels
+from hybrid.report.style import BLUE, GREY, PALE, RED, Figure, new_figure, panels
 from hybrid.report.table import Table
 from hybrid.statistics import HALF_WIDTH
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _MOST_ROWS = 40  # arms of the heat map and of the list
 _MOST_PAGES = 100  # arms with a page of their own

@@ -1,26 +1,19 @@
 """Show the inspection of logs: tables, a figure and a page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hybrid.diagnosis.answer.diagnosis import listed
+from hybrid.inspect import Inspection
+from hybrid.recording import Recording
+from hybrid.recording.reading import Used
 from hybrid.report.output import Section, write_page
-from hybrid.report.style import BLUE, GREY, PALE, lines_figure
+from hybrid.report.style import BLUE, GREY, PALE, Figure, lines_figure
 from hybrid.report.table import Table
 from hybrid.robot.chain import unit_of_slide
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from hybrid.inspect import Inspection
-    from hybrid.recording import Recording
-    from hybrid.recording.reading import Used
-
 
 _MOST_UNTOLD = 6  # parameters in a sentence
 

@@ -3,8 +3,6 @@
 A page is self-contained HTML, which opens offline.
 """
 
-from __future__ import annotations
-
 import platform
 import re
 import warnings
@@ -14,17 +12,15 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hybrid import __version__
 from hybrid.errors import HybridError
 from hybrid.files import atomic_path, write_json
+from hybrid.report.style import Figure
 from hybrid.report.table import Table
 from hybrid.shown import plain
 from hybrid.templates import render_template
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _PAGES = Path(__file__).parent / "pages"
 RESOLUTION = 150  # pixels per inch, of PNG files and of rasters inside SVG files

@@ -1,22 +1,16 @@
 """Show servos that were fitted by replay: tables, a figure and a page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hybrid.report.output import Section, write_page
-from hybrid.report.style import BLACK, BLUE, PALE, RED, lines_figure
+from hybrid.report.style import BLACK, BLUE, PALE, RED, Figure, lines_figure
 from hybrid.report.table import Table
 from hybrid.servo.drive import QUANTITIES
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from hybrid.servo.servo_fit import ServoFit, ServoReplay
+from hybrid.servo.servo_fit import ServoFit, ServoReplay
 
 
 def gap_table(fit: ServoFit) -> Table:

@@ -1,20 +1,19 @@
 """The style of all figures: colours, sizes, panels and legends."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.names import figure_text
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+else:
+    Axes = Figure = Any  # matplotlib is slow to load
 
 Curve = tuple[str, Array, str, float]  # name, values (N, n), colour, width in points
 
@@ -125,7 +124,7 @@ def lines_figure(
     return figure, cells
 
 
-def extremes(curves: Sequence[Array], most: int) -> NDArray[np.intp]:
+def extremes(curves: Sequence[Array], most: int) -> Index:
     """The ends of curves, and the lowest and highest point of each in every interval.
 
     Where there are at most ``most`` samples, these are all.

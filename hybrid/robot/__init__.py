@@ -1,6 +1,3 @@
 """Serial arms from URDF and MJCF files."""
 
-from hybrid.robot.chain import Chain
-from hybrid.robot.robot import Robot
-
-__all__ = ["Chain", "Robot"]
+from hybrid.robot.robot import Robot as Robot

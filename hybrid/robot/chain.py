@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.errors import RobotError
 from hybrid.names import name_fault
 
@@ -47,7 +46,7 @@ class Chain:
     rotation: Array
     translation: Array
     axis: Array
-    revolute: NDArray[np.bool_]
+    revolute: Mask
     inertial: Array
     gravity: Array
     armature: Array

@@ -28,9 +28,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.effects.gravity_tilt import GravityTilt
 from hybrid.errors import RobotError
 from hybrid.plant.noise import rated_torque
@@ -155,12 +154,12 @@ class Drive:
         return GravityTilt(tuple(range(self.stall.size)), angles)
 
     @property
-    def plays(self) -> NDArray[np.bool_]:
+    def plays(self) -> Mask:
         """Whether the gear of each joint has play, shape (n,)."""
         return np.asarray(self["play"] > 0)
 
     @property
-    def unlimited(self) -> NDArray[np.bool_]:
+    def unlimited(self) -> Mask:
         """Whether the torque of each servo has no limit, shape (n,)."""
         return np.asarray(self["stall"] > 0.5 * _UNLIMITED * self.stall)
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.servo.drive import NAMES, PLAIN
 from hybrid.servo.noise import INEXACT, Noise
 from hybrid.servo.problem import Estimate, Problem
@@ -41,7 +41,7 @@ class Explanation:
     """
 
     found: Estimate
-    causes: NDArray[np.bool_]
+    causes: Mask
     equals: Mapping[tuple[int, int], tuple[int, ...]] = field(default_factory=dict)
     losses: Mapping[tuple[int, int], float] = field(default_factory=dict)
 
@@ -77,12 +77,12 @@ class Curvature:
         places, weight = np.argwhere(wide.free), noise.weights(found.errors)
         return cls(places, slopes, matrix, gradient, weight, spread[wide.free])
 
-    def fall(self, own: NDArray[np.bool_]) -> float:
+    def fall(self, own: Mask) -> float:
         """Decrease of the cost when some of the parameters take their optimum."""
         pull = self.gradient[own]
         return float(0.5 * pull @ np.linalg.solve(self.matrix[np.ix_(own, own)], pull))
 
-    def width(self, own: NDArray[np.bool_]) -> float:
+    def width(self, own: Mask) -> float:
         """½ log |1 + S H S| over some of the parameters."""
         s = self.spread[own]
         scaled = self.matrix[np.ix_(own, own)] * np.outer(s, s)

@@ -10,10 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arguments import typed
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.errors import RecordingError
 from hybrid.progress import Progress, silent
 from hybrid.recording import Recording
@@ -256,9 +255,7 @@ def _clips(robot: Robot, drive: Drive, asked: Array) -> list[str]:
     ]
 
 
-def _notes(
-    robot: Robot, resting: NDArray[np.bool_], known: Mapping[str, float]
-) -> list[str]:
+def _notes(robot: Robot, resting: Mask, known: Mapping[str, float]) -> list[str]:
     """What these logs cannot tell."""
     masses = ", ".join(f"{x:g} kg behind {name}" for name, x in known.items())
     notes = [

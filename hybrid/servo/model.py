@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.dynamics.kinematics import frames
 from hybrid.effects.backlash import Backlash, set_play
 from hybrid.robot import Robot
@@ -59,7 +58,7 @@ def servo_spec(robot: Robot, drive: Drive) -> mujoco.MjSpec:
     return spec
 
 
-def places(plays: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def places(plays: Mask) -> tuple[Index, Index]:
     """Indices in a compiled model: of all motor joints, and of joints for play."""
     behind = np.cumsum(plays)
     own = np.arange(len(plays)) + behind - plays

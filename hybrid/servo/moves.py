@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.servo.drive import NAMES, QUANTITIES
 from hybrid.servo.evidence import COST, Curvature
 from hybrid.servo.problem import SHARED, Estimate, Problem, one_by_one
@@ -40,7 +39,7 @@ class Move:
 
 
 def probed(
-    problem: Problem, x: Array, open_: NDArray[np.bool_], hint: Array
+    problem: Problem, x: Array, open_: Mask, hint: Array
 ) -> tuple[list[Array], list[Array]]:
     """Change one quantity at a time, at all joints or at one, and replay.
 

@@ -23,9 +23,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.servo.drive import LOGARITHMIC, QUANTITIES, Drive
 from hybrid.servo.noise import Noise, inexactness, resolution, usual_error
 from hybrid.servo.simulator import ServoSimulator
@@ -52,7 +51,7 @@ class Estimate:
     """
 
     x: Array
-    free: NDArray[np.bool_]
+    free: Mask
     errors: Array
 
     @cached_property
@@ -78,7 +77,7 @@ class Problem:
     simulator: ServoSimulator
     stretches: Sequence[Stretch]
     prior: Drive
-    resting: NDArray[np.bool_]
+    resting: Mask
     reached: Array
     touched: Array | float = np.nan
     _known: dict[bytes, Array] = field(default_factory=dict)
@@ -118,11 +117,11 @@ class Problem:
             del self._known[next(iter(self._known))]
         return out
 
-    def at(self, x: Array, free: NDArray[np.bool_]) -> Estimate:
+    def at(self, x: Array, free: Mask) -> Estimate:
         """An estimate at given coordinates."""
         return Estimate(x, free, self.errors([x])[0])
 
-    def off(self, x: Array, free: NDArray[np.bool_]) -> Array:
+    def off(self, x: Array, free: Mask) -> Array:
         """Negative log prior of each joint, up to a constant, shape (n,)."""
         z = np.where(free, (x - self.prior.coordinates) / self.prior.spread, 0.0)
         return np.asarray(0.5 * (z**2).sum(axis=0))
@@ -229,7 +228,7 @@ class Problem:
         return covariance + between
 
 
-def one_by_one(changes: Array, alone: NDArray[np.bool_]) -> list[Array]:
+def one_by_one(changes: Array, alone: Mask) -> list[Array]:
     """Split changes, (len(QUANTITIES), n), so that only one quantity changes in each.
 
     It changes at all joints or, where it is ``alone``, (len(QUANTITIES),), at one.

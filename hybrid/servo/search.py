@@ -13,9 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.progress import Progress, silent
 from hybrid.servo.drive import NAMES
 from hybrid.servo.evidence import COST, Curvature, Explanation, evidence
@@ -49,7 +48,7 @@ class Search:
         problem: Problem,
         plain: Estimate,
         aside: Problem | None,
-        allowed: NDArray[np.bool_],
+        allowed: Mask,
         progress: Progress = silent,
     ) -> None:
         self.problem, self.aside, self.progress = problem, aside, progress
@@ -77,7 +76,7 @@ class Search:
         x = self.problem.prior.coordinates
         return self.of(x, np.zeros_like(self.shapes), _TURNS)
 
-    def of(self, x: Array, causes: NDArray[np.bool_], turns: int = 2) -> Explanation:
+    def of(self, x: Array, causes: Mask, turns: int = 2) -> Explanation:
         """Fit an explanation with given causes, starting at given coordinates."""
         free = self.shapes | causes
         free[_SIGN] = False

@@ -7,9 +7,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot import Robot
@@ -88,7 +87,7 @@ def clipped(robot: Robot, drive: Drive, asked: Array) -> tuple[str, ...]:
     return tuple(x for x, holds in zip(robot.joints, within, strict=True) if not holds)
 
 
-def _within(clips: Array, asked: Array | None) -> NDArray[np.bool_]:
+def _within(clips: Array, asked: Array | None) -> Mask:
     """Whether no command of the logs is clipped, shape (n,)."""
     if asked is None:
         return np.ones(len(clips), dtype=bool)

@@ -1,12 +1,11 @@
 """Estimate how many successive samples of a residual count as one independent one."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 
 
-def autocorrelation_time(x: Array, row: NDArray[np.intp]) -> float:
+def autocorrelation_time(x: Array, row: Index) -> float:
     """Integrated autocorrelation time of a residual, in samples, 1 or more.
 
     Args:

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.recording.clock import resample
 from hybrid.recording.recording import Recording
 from hybrid.signals.cutoff import choose_cutoff
@@ -46,7 +45,7 @@ class Motion:
     v: Array
     a: Array
     tau: Array
-    mask: NDArray[np.bool_]
+    mask: Mask
     temperature: Array | None = None
     joints: tuple[str, ...] = ()
     source: str = ""

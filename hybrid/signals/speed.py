@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.recording.recording import Recording
 from hybrid.signals.cutoff import NOISE_BAND
 from hybrid.signals.filters import Spectrum, butterworth_gain
@@ -116,7 +115,7 @@ def correction_by_speed(
     recording: Recording,
     *,
     cutoff: float,
-    mask: NDArray[np.bool_],
+    mask: Mask,
     check: SpeedCheck | None = None,
 ) -> Array:
     """Correction of low-passed positions by the measured speed, shape (N, n), [rad].

@@ -1,9 +1,8 @@
 """Filter a stream block by block: derivatives by time stamp, and a low-pass filter."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.errors import RecordingError
 
 _ORDER = 4  # of the local polynomial
@@ -52,7 +51,7 @@ class LocalPolynomial:
         self._middle[self.margin : self.margin + group] = 1.0 / group
         self._cached = np.zeros((0, 0), dtype=np.intp)
 
-    def windows(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def windows(self, t: Array) -> tuple[Array, Mask]:
         """Powers of time in the window around each of B groups.
 
         Returns:
@@ -94,7 +93,7 @@ class LocalPolynomial:
         residual: Array = q[self._index(len(q))] - powers.transpose(0, 2, 1) @ fitted
         return residual
 
-    def has_no_outlier(self, residual: Array) -> NDArray[np.bool_]:
+    def has_no_outlier(self, residual: Array) -> Mask:
         """Tell whether no single sample dominates the residual r, shape (B, n).
 
         A dominant sample has a wrong value or a wrong time stamp. The effective number
@@ -106,7 +105,7 @@ class LocalPolynomial:
         least = min(_SPREAD, self._length * _SPREAD_SHARE)
         return np.asarray(total**2 >= least * square.sum(axis=1))
 
-    def _index(self, samples: int) -> NDArray[np.intp]:
+    def _index(self, samples: int) -> Index:
         """Indices of the samples of each window, shape (B, W)."""
         if self._cached.size == 0 or self._cached[-1, -1] != samples - 1:
             first = np.arange(0, samples - self._length + 1, self._group)

@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.evidence.candidates import Candidate, Term, with_gains
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.refine import add_shape_derivatives, gain, refine
@@ -105,9 +104,7 @@ class Outlook(Evidence):
         use: Samples that are used, shape (M,); all by default.
     """
 
-    def __init__(
-        self, gap: Gap, noise: Array, use: NDArray[np.bool_] | None = None
-    ) -> None:
+    def __init__(self, gap: Gap, noise: Array, use: Mask | None = None) -> None:
         super().__init__(gap, use)
         self.noise = noise
         self._rigid, _ = add_background(self, Prior())

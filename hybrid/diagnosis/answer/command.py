@@ -8,9 +8,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.diagnosis.answer.diagnosis import Finding
 from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, fitted_values
 from hybrid.diagnosis.answer.intervals import shrunk
@@ -132,8 +131,8 @@ def _fitted_servo(
     gap: Gap,
     i: int,
     log: ServoLog,
-    learn: NDArray[np.bool_],
-    test: NDArray[np.bool_],
+    learn: Mask,
+    test: Mask,
     kinds: Sequence[type[Effect]],
 ) -> _Servo | None:
     """Fit the servo of a joint; None if no law explains its torque."""

@@ -1,7 +1,6 @@
 """Write the simulator with the findings of a diagnosis, as MJCF and as a model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,19 +25,9 @@ SIMULATOR = "sim_fixed.xml"
 MODEL = "model.json"
 
 
-@dataclass(frozen=True)
-class Fixed:
-    """Files of a corrected simulator."""
-
-    simulator: Path  # MJCF file
-    model: Path  # torque model with all findings
-    # Findings that MJCF expresses only approximately, or not at all.
-    notes: tuple[str, ...]
-
-
 def write_fixed(
     result: Result, directory: str | Path, *, home: str | Path | None = None
-) -> Fixed:
+) -> tuple[str, ...]:
     """Write ``sim_fixed.xml`` and ``model.json``.
 
     ``sim_fixed.xml`` is the simulator's file with the findings, and ``sim_fixed.diff``
@@ -50,6 +39,9 @@ def write_fixed(
         directory: A folder that exists.
         home: Folder to which the files are moved afterwards; paths of meshes are
             relative to it. ``directory`` by default.
+
+    Returns:
+        Findings that MJCF expresses only approximately, or not at all.
 
     Raises:
         EffectError: An effect cannot be simulated.
@@ -66,7 +58,7 @@ def write_fixed(
     made.write(folder / SIMULATOR)
     whole = fixed_model(result.gap, robot, (*effects, *result.command))
     whole.save(folder / MODEL)
-    return Fixed(folder / SIMULATOR, folder / MODEL, made.notes)
+    return made.notes
 
 
 def _servo_notes(result: Result) -> list[str]:

@@ -3,16 +3,15 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.diagnosis import Interval, Shrink
 
 _RESAMPLES = 400
 
 
 def interval(
-    statistic: Callable[[NDArray[np.intp]], Array],
+    statistic: Callable[[Index], Array],
     blocks: int,
     rng: np.random.Generator,
 ) -> Interval:

@@ -7,9 +7,8 @@ removed from the log before the search, as it delays the torque of all effects.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Verdict
 from hybrid.diagnosis.answer.findings import (
@@ -107,7 +106,7 @@ def _where(
         found.append(replace(r, share=scale * r.share, interval=ends))
     for i in np.flatnonzero(excess.sum(axis=0) > 0).tolist():
 
-        def share(k: NDArray[np.intp], i: int = i) -> Array:
+        def share(k: Index, i: int = i) -> Array:
             own, every = excess[k, i].sum(axis=1), excess.sum(axis=1)[k].sum(axis=1)
             return np.asarray(own / np.maximum(every + other, 1e-300))
 

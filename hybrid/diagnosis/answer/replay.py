@@ -11,9 +11,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
 from hybrid.diagnosis.explanations.explanation import Explanation
 from hybrid.diagnosis.gap.gap import Gap
@@ -91,7 +90,7 @@ class Replay:
         """Indices of all terms."""
         return frozenset(range(len(self.effects)))
 
-    def windows_with(self, members: Iterable[int]) -> NDArray[np.intp]:
+    def windows_with(self, members: Iterable[int]) -> Index:
         """Indices of the windows in which some terms act, shape (W',)."""
         acting = np.zeros(len(self.scored.gap.fold))
         for k in members:
@@ -141,9 +140,7 @@ def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     return positions(gap.robot, ()), positions(*found)
 
 
-def _motions(
-    gap: Gap, wanted: NDArray[np.bool_]
-) -> tuple[tuple[Motion, ...], list[NDArray[np.bool_]], NDArray[np.intp]]:
+def _motions(gap: Gap, wanted: Mask) -> tuple[tuple[Motion, ...], list[Mask], Index]:
     """Decimated motions that hold wanted samples.
 
     With a mask of the wanted samples of each, and the first sample of each in the gap.
@@ -161,9 +158,7 @@ def _motions(
     return tuple(motions), usable, np.array(start, dtype=np.intp)
 
 
-def windows_of(
-    usable: Sequence[NDArray[np.bool_]], rate: float
-) -> tuple[float | None, Windows]:
+def windows_of(usable: Sequence[Mask], rate: float) -> tuple[float | None, Windows]:
     """Choose windows without overlap in the usable samples of some motions.
 
     Args:
@@ -185,7 +180,7 @@ def windows_of(
     return None, Windows(none, none, 0)
 
 
-def _starts(usable: Sequence[NDArray[np.bool_]], span: int) -> NDArray[np.intp]:
+def _starts(usable: Sequence[Mask], span: int) -> Index:
     """Motion and first sample of windows without overlap, shape (W, 2)."""
     found = [
         (r, k)

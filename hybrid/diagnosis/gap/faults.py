@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.inspect.samples import stuck_position
 from hybrid.inspect.stuck import stuck_torque
 from hybrid.recording import Recording
@@ -27,8 +26,8 @@ class Faults:
         notes: The same in words.
     """
 
-    posture: NDArray[np.bool_]
-    torque: NDArray[np.bool_]
+    posture: Mask
+    torque: Mask
     notes: tuple[str, ...]
 
 
@@ -61,7 +60,7 @@ def find_faults(recording: Recording) -> Faults:
     return Faults(posture, torque, tuple(place + note for note in notes))
 
 
-def _leaps(t: Array, q: Array, tau: Array) -> NDArray[np.bool_]:
+def _leaps(t: Array, q: Array, tau: Array) -> Mask:
     """Samples beside a rare jump of torque while a joint moves, shape (N, n).
 
     Where the reference jumps, so does the acceleration, at a time between two samples

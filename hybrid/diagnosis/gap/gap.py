@@ -9,9 +9,8 @@ from itertools import groupby
 from math import prod
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import Effect, Scale
 from hybrid.plant.scale import joint_scales
@@ -63,9 +62,9 @@ class Gap:
     cutoff: float
     period: float
     left: Array
-    moving: NDArray[np.bool_]
-    fold: NDArray[np.intp]
-    trajectory: NDArray[np.intp]
+    moving: Mask
+    fold: Index
+    trajectory: Index
     notes: tuple[str, ...] = ()
     healthy: tuple[Array, ...] = ()
     joins: tuple[Gap, ...] = ()

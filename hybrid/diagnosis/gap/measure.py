@@ -5,10 +5,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.gap.faults import Faults, find_faults
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.dynamics import RigidBody, simulated_torque
@@ -97,9 +96,7 @@ def measure_gap(
     )  # fmt: skip
 
 
-def _standing(
-    robot: Robot, motion: Motion, slowest: Array, cutoff: float
-) -> NDArray[np.bool_]:
+def _standing(robot: Robot, motion: Motion, slowest: Array, cutoff: float) -> Mask:
     """Decimated samples at rest, and near rest at joints with declared friction."""
     factor = Sampler.for_rate(motion.rate, cutoff).factor
     v = motion.v[::factor]
@@ -111,9 +108,7 @@ def _standing(
     return slow
 
 
-def _folds(
-    motions: Sequence[Motion], cutoff: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _folds(motions: Sequence[Motion], cutoff: float) -> tuple[Index, Index]:
     """Fold and recording of each sample, shape (M,) each; see :class:`Gap`."""
     steps = [Sampler.for_rate(m.rate, cutoff).factor for m in motions]
     # No sample is at an edge of a block, from which the last digit might move it.
@@ -154,7 +149,7 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
     return replace(found, posture=both[:, 0], torque=both[:, 1:])
 
 
-def _around(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+def _around(flags: Mask, reach: int) -> Mask:
     """Flags, shape (M, k), widened by a number of samples to both sides."""
     return np.asarray(maximum_filter1d(flags, 2 * reach + 1, axis=0, mode="constant"))
 
@@ -165,7 +160,7 @@ def block_seconds(motions: Sequence[Motion]) -> float:
     return float(np.clip(total / _MOST_FOLDS, _SHORTEST_BLOCK, _BLOCK_SECONDS))
 
 
-def seconds(gap: Gap) -> NDArray[np.intp]:
+def seconds(gap: Gap) -> Index:
     """Second of each sample, shape (M,): a block for the bootstrap.
 
     Residuals are correlated for about that time.
@@ -173,7 +168,7 @@ def seconds(gap: Gap) -> NDArray[np.intp]:
     return np.arange(len(gap.fold)) // max(1, round(gap.rate))
 
 
-def split(gap: Gap) -> NDArray[np.bool_]:
+def split(gap: Gap) -> Mask:
     """Training samples, shape (M,); the others are the test set.
 
     Every fourth trajectory is for testing. Where there are fewer than four, it is every
@@ -197,7 +192,7 @@ def split(gap: Gap) -> NDArray[np.bool_]:
     return np.asarray(masks[chosen])
 
 
-def _unusual(gap: Gap, part: NDArray[np.intp]) -> Array:
+def _unusual(gap: Gap, part: Index) -> Array:
     """Mean squares of each sample's part over the median of all parts, shape (M,).
 
     The joint with the largest ratio counts.
@@ -212,7 +207,7 @@ def _unusual(gap: Gap, part: NDArray[np.intp]) -> Array:
     return np.asarray((mean / usual).max(axis=1)[own])
 
 
-def unseen_samples(gap: Gap, learn: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def unseen_samples(gap: Gap, learn: Mask) -> Mask:
     """Test samples beside given training samples, shape (M,).
 
     Whole trajectories are tested; blocks of one lose a sixth at both ends.

@@ -8,10 +8,9 @@ from itertools import product
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.dynamics import RigidBody
 from hybrid.errors import HybridWarning
@@ -80,7 +79,7 @@ class ServoLog:
         torque: Logged torque, as a function of time.
     """
 
-    row: NDArray[np.intp]
+    row: Index
     t: Array
     own: Array
     asked: CubicSpline
@@ -123,7 +122,7 @@ class ServoLog:
         k = max(1, len(self.row) // _ENOUGH)
         return replace(self, row=self.row[::k], t=self.t[::k], own=self.own[::k])
 
-    def only(self, use: NDArray[np.bool_]) -> Self:
+    def only(self, use: Mask) -> Self:
         """The samples of a mask over the gap's, shape (all,)."""
         k = use[self.row]
         return replace(self, row=self.row[k], t=self.t[k], own=self.own[k])

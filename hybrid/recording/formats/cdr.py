@@ -11,6 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hybrid.arrays import AnyArray, Index, Mask
+
 Path = tuple[str | int, ...]
 
 _SIZES = {
@@ -46,14 +48,14 @@ class MessageLayout:
     length: int
     numbers: dict[Path, tuple[int, np.dtype[Any]]]
     texts: dict[Path, str]
-    fixed: NDArray[np.intp]
+    fixed: Index
     shared: NDArray[np.uint8]
 
-    def fits(self, messages: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def fits(self, messages: NDArray[np.uint8]) -> Mask:
         """Tell which messages, shape (N, length), have this layout, shape (N,)."""
         return np.asarray((messages[:, self.fixed] == self.shared).all(axis=1))
 
-    def values(self, messages: NDArray[np.uint8], path: Path) -> NDArray[Any]:
+    def values(self, messages: NDArray[np.uint8], path: Path) -> AnyArray:
         """One number of each message, shape (N,)."""
         start, kind = self.numbers[path]
         own = np.ascontiguousarray(messages[:, start : start + kind.itemsize])

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import named_labels
 from hybrid.recording.recording import row_words
@@ -64,7 +64,7 @@ def read_csv(path: Path) -> list[tuple[LogTable]]:
     return [(LogTable(str(path), labels, partial(_blocks, text), kind="CSV"),)]
 
 
-def _blocks(text: _Text, used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
+def _blocks(text: _Text, used: tuple[int, ...]) -> list[dict[int, AnyArray]]:
     """Load columns by their indices, in one block."""
     kinds = {k: _kind(text.first[k] if k < len(text.first) else "") for k in used}
     columns = _by_arrow(text, kinds)
@@ -87,7 +87,7 @@ def _kind(cell: str) -> str:
     return "i8" if _WHOLE.fullmatch(cell) else "f8"
 
 
-def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[int, NDArray[Any]] | None:
+def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[int, AnyArray] | None:
     """Load all rows five times as fast; None without pyarrow, or if it refuses one."""
     try:
         from pyarrow import ArrowInvalid, from_numpy_dtype, timestamp
@@ -131,7 +131,7 @@ def _has_hexadecimals(text: _Text) -> bool:
         return any(b"0x" in line or b"0X" in line for line in below)
 
 
-def _numbers(chunk: Any, kind: str) -> NDArray[Any]:
+def _numbers(chunk: Any, kind: str) -> AnyArray:
     """Numbers of a chunk of Arrow; nulls are NaN."""
     if chunk.null_count:
         return np.asarray(chunk.to_numpy(zero_copy_only=False))
@@ -140,7 +140,7 @@ def _numbers(chunk: Any, kind: str) -> NDArray[Any]:
     return np.frombuffer(values, kind, len(chunk), 8 * chunk.offset)
 
 
-def _rows(text: _Text, kinds: Mapping[int, str]) -> NDArray[Any]:
+def _rows(text: _Text, kinds: Mapping[int, str]) -> AnyArray:
     """Load all rows by NumPy; ``ValueError`` has its words on the first bad one."""
     dates: dict[str, Callable[[str], Any]] = {_DATES: _date}
     try:
@@ -151,7 +151,7 @@ def _rows(text: _Text, kinds: Mapping[int, str]) -> NDArray[Any]:
 
 def _loaded(
     text: _Text, kinds: Mapping[int, str], parsers: Mapping[str, Callable[[str], Any]]
-) -> NDArray[Any]:
+) -> AnyArray:
     layout = [(str(k), kinds.get(k, "U1")) for k in range(len(text.labels))]
     with TextIOWrapper(text.open(), "utf-8", "replace", newline="") as lines:
         for _ in range(text.above):

@@ -4,14 +4,13 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from numpy.typing import NDArray
-
+from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.labels import is_time, parse_label, split_unit
 from hybrid.recording.table import MOST_COLUMNS, LogTable, check_numbers
 
-Fields = Mapping[str, NDArray[Any]]  # each of shape (N,) or (N, n)
+Fields = Mapping[str, AnyArray]  # each of shape (N,) or (N, n)
 NAMES = ("joints", "joint_names")  # labels of arrays that name the joints
 Get = Callable[[Iterable[str]], Fields]
 
@@ -47,7 +46,7 @@ def table_of_arrays(
             columns = _labels(label, x.shape[1], names, source)
             layout += [(column, label, k) for k, column in enumerate(columns)]
 
-    def blocks(used: tuple[int, ...]) -> list[dict[int, NDArray[Any]]]:
+    def blocks(used: tuple[int, ...]) -> list[dict[int, AnyArray]]:
         fields, columns = load(dict.fromkeys(layout[k][1] for k in used)), {}
         for k in used:
             _, label, place = layout[k]
@@ -58,7 +57,7 @@ def table_of_arrays(
     return LogTable(source, labels, blocks, joints=names, **more)
 
 
-def _texts(x: NDArray[Any]) -> tuple[str, ...]:
+def _texts(x: AnyArray) -> tuple[str, ...]:
     return tuple(
         v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v).strip()
         for v in x.ravel()

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import named_labels, table_of_arrays
 from hybrid.recording.labels import is_time, split_unit
@@ -50,7 +50,7 @@ def table_of_frame(frame: Any, source: str = "table", **more: Any) -> LogTable:
     return table_of_arrays(arrays, source, **more)
 
 
-def _array(column: Any, label: str, source: str) -> NDArray[Any]:
+def _array(column: Any, label: str, source: str) -> AnyArray:
     """Samples of a column, shape (N,), or (N, n) if it holds lists."""
     x = np.asarray(column)
     try:

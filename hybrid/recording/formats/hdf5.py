@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.labels import is_time, parse_label, split_unit
@@ -32,7 +32,7 @@ _EPISODE = re.compile(
 def read_hdf5(path: Path) -> list[tuple[LogTable]]:
     """Read the arrays of a file, or of each group that is named like an episode."""
     arrays, rate = arrays_of(path)
-    groups: dict[str, dict[str, NDArray[Any]]] = {}
+    groups: dict[str, dict[str, AnyArray]] = {}
     for name, x in arrays.items():
         match = _EPISODE.match(name)
         episode = match.group(0) if match else ""
@@ -50,7 +50,7 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
     return logs
 
 
-def arrays_of(path: Path) -> tuple[dict[str, NDArray[Any]], float]:
+def arrays_of(path: Path) -> tuple[dict[str, AnyArray], float]:
     """Read all arrays of a file by path, and the rate that robomimic states, [Hz]."""
     try:
         import h5py
@@ -70,7 +70,7 @@ def _natural(name: str) -> tuple[str, int]:
 
 
 def _table(
-    group: dict[str, NDArray[Any]], episode: str, source: str, rate: float
+    group: dict[str, AnyArray], episode: str, source: str, rate: float
 ) -> LogTable:
     numbers = {k: x for k, x in group.items() if x.dtype.kind in "fiu"}
     if rate > 0 and not any(is_time(split_unit(label)[0]) for label in numbers):
@@ -79,11 +79,11 @@ def _table(
     return table_of_arrays(numbers, source, kind="HDF5", name=episode)
 
 
-def _arrays(file: Any, source: str) -> dict[str, NDArray[Any]]:
+def _arrays(file: Any, source: str) -> dict[str, AnyArray]:
     """Read all arrays of a file; the unit of an attribute is added to the label."""
     import h5py
 
-    found: dict[str, NDArray[Any]] = {}
+    found: dict[str, AnyArray] = {}
     seen, size = 0, 0
 
     def visit(name: str, item: Any) -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import AnyArray
 from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.formats.hdf5 import arrays_of
 from hybrid.recording.formats.mat_elements import check_elements
@@ -33,7 +33,7 @@ def read_mat(path: Path) -> list[tuple[LogTable]]:
     return [(table_of_arrays(arrays, str(path), kind="MATLAB"),)]
 
 
-def _with_rows_as_samples(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _with_rows_as_samples(arrays: dict[str, AnyArray]) -> dict[str, AnyArray]:
     times = [x.size for k, x in arrays.items() if is_time(split_unit(k)[0])]
     rows, found = max(times, default=0), {}
     for name, x in arrays.items():
@@ -43,14 +43,14 @@ def _with_rows_as_samples(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[
     return found
 
 
-def _version_5(path: Path) -> dict[str, NDArray[Any]]:
+def _version_5(path: Path) -> dict[str, AnyArray]:
     import scipy.io
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about variables that SciPy cannot read
         check_elements(path)
         content = scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True)
-    found: dict[str, NDArray[Any]] = {}
+    found: dict[str, AnyArray] = {}
     for name, x in content.items():
         if name.startswith("__"):
             continue
@@ -61,9 +61,9 @@ def _version_5(path: Path) -> dict[str, NDArray[Any]]:
     return found
 
 
-def _plain(x: Any) -> NDArray[Any]:
+def _plain(x: Any) -> AnyArray:
     """Convert a variable to an array; a cell array of texts becomes texts."""
-    plain: NDArray[Any] = np.asarray(x)
+    plain: AnyArray = np.asarray(x)
     cells = [np.asarray(v) for v in plain.ravel()] if plain.dtype == object else []
     if cells and all(v.dtype.kind == "U" and v.size for v in cells):
         return np.array([str(v.ravel()[0]) for v in cells])

@@ -4,11 +4,10 @@ import math
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import table_of_arrays
 from hybrid.recording.table import LARGEST_FILE, LogTable, as_recording_error
@@ -19,7 +18,7 @@ _KIND = "NPZ file of plain arrays"
 def read_npz(path: Path) -> list[tuple[LogTable]]:
     """Read arrays ``t``, ``q``, ``tau``, ..., or one array for each column."""
 
-    def get(names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    def get(names: Iterable[str]) -> dict[str, AnyArray]:
         # A pickle could run code.
         with (
             as_recording_error(path, _KIND),
@@ -30,7 +29,7 @@ def read_npz(path: Path) -> list[tuple[LogTable]]:
     return [(table_of_arrays(_shapes(path), str(path), get=get, kind="NPZ"),)]
 
 
-def _shapes(path: Path) -> dict[str, NDArray[Any]]:
+def _shapes(path: Path) -> dict[str, AnyArray]:
     """Arrays of zeros that take no memory, with the shape and type of each array."""
     with path.open("rb") as file:
         if file.read(6) == b"\x93NUMPY":
@@ -50,7 +49,7 @@ def _shapes(path: Path) -> dict[str, NDArray[Any]]:
         }
 
 
-def _shape(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
+def _shape(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> AnyArray:
     """Array of zeros from a header, whose shape must fit the size of the file."""
     with archive.open(info) as file:
         first = np.lib.format.read_magic(file) == (1, 0)

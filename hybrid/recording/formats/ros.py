@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hybrid.errors import RecordingError, warn
+from hybrid.errors import HybridError, RecordingError, warn
 from hybrid.files import read_yaml
 from hybrid.names import printable
 from hybrid.progress import Progress
@@ -28,7 +28,7 @@ def is_bag(folder: Path) -> bool:
     try:
         content = read_yaml(folder / "metadata.yaml")["rosbag2_bagfile_information"]
         names = [Path(str(x)).name for x in content["relative_file_paths"]]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (HybridError, KeyError, TypeError):
         return False
     return all((folder / name).is_file() for name in names)
 

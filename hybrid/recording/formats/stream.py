@@ -1,11 +1,9 @@
 """Collect messages with the same columns in blocks that can be taken once."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import AnyArray, Array
 
 # Memory of blocks above 32 MiB returns to the system as soon as they are deleted.
 BLOCK = 5 << 20  # numbers in a block
@@ -25,7 +23,7 @@ class Stream:
         self,
         stamps: NDArray[np.int64],
         times: NDArray[np.int64],
-        columns: list[NDArray[Any]],
+        columns: list[AnyArray],
     ) -> None:
         """Add rows: times of messages and of the recorder, [ns], and numbers."""
         self._stamps.append(stamps)
@@ -52,7 +50,7 @@ class Stream:
 
     def take(
         self, used: tuple[int, ...], clock: NDArray[np.int64]
-    ) -> list[dict[int, NDArray[Any]]]:
+    ) -> list[dict[int, AnyArray]]:
         """Take columns from 1, which the stream then has no more; the clock is 0."""
         if used == (0,):
             return [{0: clock}]
