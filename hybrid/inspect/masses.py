@@ -11,9 +11,8 @@ wrong signs and a wrong clock need negative masses, or leave a large residual.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.inspect.state import State
 from hybrid.robot.chain import Chain
 
@@ -89,7 +88,7 @@ class MassColumns:
 
     def residual(
         self,
-        order: NDArray[np.intp],
+        order: Index,
         factor: Array,
         *,
         rounds: int = 2,
@@ -131,7 +130,7 @@ class MassColumns:
             left.append((rest**2).mean(axis=0) / self._size)
         return np.asarray(np.clip(left, _NEGLIGIBLE, 1.0))
 
-    def _sums(self, use: NDArray[np.bool_] | slice) -> _Sums:
+    def _sums(self, use: Mask | slice) -> _Sums:
         """Normal equations over some of the samples, (M,)."""
         columns, tau = self._columns[:, :, use], self._tau[use]
         samples = len(self._tau)
@@ -142,9 +141,7 @@ class MassColumns:
         right = (columns @ tau).swapaxes(1, 2)
         return normal / samples, right / samples, (tau**2).sum(axis=0) / samples
 
-    def _fitted(
-        self, sums: _Sums, order: NDArray[np.intp], factor: Array, rounds: int
-    ) -> Array:
+    def _fitted(self, sums: _Sums, order: Index, factor: Array, rounds: int) -> Array:
         """Weights of the columns, shape (P,)."""
         normal, products, _ = sums
         right = factor[:, None] * products[np.arange(len(order)), order]
@@ -157,9 +154,7 @@ class MassColumns:
             share = self._shares(sums, theta, order, factor)
         return theta
 
-    def _shares(
-        self, sums: _Sums, theta: Array, order: NDArray[np.intp], factor: Array
-    ) -> Array:
+    def _shares(self, sums: _Sums, theta: Array, order: Index, factor: Array) -> Array:
         """What weights leave of samples, over the variance of all, shape (n,)."""
         normal, products, squares = sums
         right = factor[:, None] * products[np.arange(len(order)), order]

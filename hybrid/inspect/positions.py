@@ -8,9 +8,8 @@ other joints but not their own.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.inspect.doubt import Doubt, error_if
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -85,13 +84,13 @@ def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
         yield Doubt("q", joints, text, remedy, severity, float(peak[joint]))
 
 
-def _fits(q: Array, robot: Robot, kind: NDArray[np.bool_]) -> bool:
+def _fits(q: Array, robot: Robot, kind: Mask) -> bool:
     """Whether positions of some joints are within their limits and two turns."""
     within = np.diagonal(_beyond(q, robot)) <= SLACK
     return bool((within & (np.abs(q).max(axis=0) <= _FARTHEST))[kind].all())
 
 
-def _fitting_order(beyond: Array) -> NDArray[np.intp] | None:
+def _fitting_order(beyond: Array) -> Index | None:
     """Joint of each column if an order exists in which all positions fit, else None."""
     from scipy.optimize import linear_sum_assignment
 

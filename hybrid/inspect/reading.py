@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.inspect.state import State
 from hybrid.robot.chain import Chain
 
@@ -50,7 +49,7 @@ class OtherReading:
     channels: tuple[str, ...]
     joints: tuple[int, ...]
     looks_like: str
-    order: NDArray[np.intp]
+    order: Index
     factor: Array
     clock: float = 1.0
     shift: Array | float = 0.0
@@ -66,7 +65,7 @@ class OtherReading:
         return b"", b"", b"", self.clock, self.lag
 
     @property
-    def torque(self) -> tuple[NDArray[np.intp], Array]:
+    def torque(self) -> tuple[Index, Array]:
         """Torque column of each joint, and its factor, (n,) each."""
         if "tau" in self.channels:
             return self.order, self.factor
@@ -88,7 +87,7 @@ class OtherReading:
 
 
 def readings(
-    chain: Chain, moving: list[int], best: NDArray[np.intp], state: State
+    chain: Chain, moving: list[int], best: Index, state: State
 ) -> Iterator[OtherReading]:
     """List orders, signs, units and clocks that a log may have, simple ones first.
 
@@ -139,7 +138,7 @@ def readings(
         yield OtherReading(("t",), (), words, kept, ones, clock)
 
 
-def _orders(chain: Chain, best: NDArray[np.intp]) -> list[tuple[str, NDArray[np.intp]]]:
+def _orders(chain: Chain, best: Index) -> list[tuple[str, Index]]:
     """Common orders of columns and the best order, each once, with its name."""
     sorted_joints = sorted(chain.joints)
     place = np.array([sorted_joints.index(joint) for joint in chain.joints])
@@ -149,7 +148,7 @@ def _orders(chain: Chain, best: NDArray[np.intp]) -> list[tuple[str, NDArray[np.
         "to be sorted by name": place,
         f"to be in the order {names}": best,
     }
-    once: dict[bytes, tuple[str, NDArray[np.intp]]] = {}
+    once: dict[bytes, tuple[str, Index]] = {}
     for words, order in orders.items():
         once.setdefault(order.tobytes(), (words, order))
     return list(once.values())

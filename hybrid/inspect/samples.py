@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.stuck import fewest_repeats, repeats, stretches, stuck_torque
 from hybrid.recording import Recording
@@ -50,7 +49,7 @@ def resolution(x: Array, coarsest: float = np.inf) -> float:
     return float(np.min(steps[steps > 0], initial=coarsest))
 
 
-def stuck_position(t: Array, q: Array) -> NDArray[np.bool_]:
+def stuck_position(t: Array, q: Array) -> Mask:
     """Samples at which the position of a joint is frozen, (N,).
 
     At rest it repeats as well, but it comes to rest and leaves it as gradually as it
@@ -175,7 +174,7 @@ def _frozen(recording: Recording) -> Iterator[Doubt]:
 
 
 def _frozen_joint(
-    recording: Recording, channel: str, joint: int, frozen: NDArray[np.bool_]
+    recording: Recording, channel: str, joint: int, frozen: Mask
 ) -> Iterator[Doubt]:
     if frozen.any():
         length, start = max((x.stop - x.start, x.start) for x in stretches(frozen))

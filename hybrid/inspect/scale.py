@@ -8,9 +8,8 @@ payload adds to that; a wrong unit is a factor of ten or more.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.inspect.doubt import Doubt, error_if
 from hybrid.inspect.masses import smooth_sign
@@ -76,9 +75,7 @@ def doubts_of_scale(
     yield from _above_rating(recording, robot, ~right)
 
 
-def _above_rating(
-    recording: Recording, robot: Robot, open_: NDArray[np.bool_]
-) -> Iterator[Doubt]:
+def _above_rating(recording: Recording, robot: Robot, open_: Mask) -> Iterator[Doubt]:
     """Find torques far above the rating where the links do not tell the scale."""
     peak = np.max(np.abs(recording.tau), axis=0)
     rated = np.where(robot.tau_max > 0, robot.tau_max, np.inf)

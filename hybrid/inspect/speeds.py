@@ -7,9 +7,8 @@ joint is a fault of the log.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.inspect.doubt import Doubt, error_if
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
@@ -77,7 +76,7 @@ def speeds_confirm_clock(state: State) -> bool:
     return len(moving) > 0 and 1 / _ODD < float(np.median(factor)) < _ODD
 
 
-def _compared(state: State) -> tuple[NDArray[np.intp], Array, Array]:
+def _compared(state: State) -> tuple[Index, Array, Array]:
     """Compare measured speeds with derivatives of positions at k moving joints.
 
     These, (k,), factors of speeds to their derivatives, (k,), and the correlation of
@@ -105,7 +104,7 @@ def _common_factor(factor: float) -> Doubt:
 
 def _of_joint(
     recording: Recording,
-    moving: NDArray[np.intp],
+    moving: Index,
     k: int,
     factor: float,
     related: Array,

@@ -1,9 +1,8 @@
 """Torques that repeat a value which they do not have: frozen, or saturated."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 
 _LONGEST_REPEAT = 0.2  # s; quantised torque repeats for less while an arm moves
 _FEWEST = 10  # samples of a frozen channel
@@ -13,9 +12,7 @@ _UNUSUAL = 3.0  # times the third longest run of equal values
 _ALONE = 5.0  # times the samples of the next level
 
 
-def stuck_torque(
-    t: Array, q: Array, tau: Array
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def stuck_torque(t: Array, q: Array, tau: Array) -> tuple[Mask, Mask]:
     """Samples at which a torque is frozen while the arm moves, and saturated, (N,).
 
     Args:
@@ -34,20 +31,20 @@ def fewest_repeats(t: Array) -> int:
     return max(_FEWEST, round(_LONGEST_REPEAT / float(np.median(np.diff(t)))))
 
 
-def stretches(flags: NDArray[np.bool_]) -> list[slice]:
+def stretches(flags: Mask) -> list[slice]:
     """Runs of consecutive samples whose flags are set."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
     return [slice(*x) for x in ends.reshape(-1, 2).tolist()]
 
 
-def repeats(x: Array, least: int) -> NDArray[np.bool_]:
+def repeats(x: Array, least: int) -> Mask:
     """Samples in runs of equal values with at least a given length."""
     starts = np.concatenate([[0], np.flatnonzero(np.diff(x)) + 1, [len(x)]])
     lengths = np.diff(starts)
     return np.repeat(lengths >= least, lengths)
 
 
-def _moving(q: Array, runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _moving(q: Array, runs: Mask) -> Mask:
     """Runs during which the arm moves."""
     moved = np.any(np.diff(q, axis=0, prepend=q[:1]) != 0, axis=1)
     kept = np.zeros_like(runs)
@@ -65,7 +62,7 @@ def _usual_run(x: Array) -> int:
     return int(_UNUSUAL * np.sort(lengths)[-3]) if len(lengths) > 2 else 0
 
 
-def _clipped(x: Array, coarse: bool) -> NDArray[np.bool_]:
+def _clipped(x: Array, coarse: bool) -> Mask:
     """Samples at an extreme value that is held repeatedly.
 
     A coarse sensor holds every level: there the extreme one must be much more frequent.

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import Effect
 from hybrid.statistics import robust_std
@@ -34,25 +33,25 @@ class _Clock:
         recording: Recording of each chunk, shape (C,).
     """
 
-    chunk: NDArray[np.intp]
-    number: NDArray[np.intp]
-    recording: NDArray[np.intp]
+    chunk: Index
+    number: Index
+    recording: Index
 
     @classmethod
-    def cut(cls, number: NDArray[np.intp], recording: NDArray[np.intp]) -> _Clock:
+    def cut(cls, number: Index, recording: Index) -> _Clock:
         """Make chunks of samples with the same number and recording, (M,) each."""
         both = np.stack([recording, number])
         (of, known), chunk = np.unique(both, axis=1, return_inverse=True)
         return cls(chunk.reshape(-1), known, of)
 
-    def sums(self, rows: NDArray[np.intp], x: Array) -> Array:
+    def sums(self, rows: Index, x: Array) -> Array:
         """Sum of some samples' values, shape (R, ...), over each chunk, (C, ...)."""
         chunk, size = self.chunk[rows], len(self.number)
         flat = x.reshape(-1, int(np.prod(x.shape[1:])))
         sums = np.array([np.bincount(chunk, y, size) for y in flat.T], dtype=float)
         return sums.T.reshape(size, *x.shape[1:])
 
-    def unbroken(self, length: int) -> NDArray[np.bool_]:
+    def unbroken(self, length: int) -> Mask:
         """Whether a number of chunks from each on is contiguous, (C − length + 1,)."""
         last = np.arange(length - 1, len(self.number))
         first = last - length + 1
@@ -110,7 +109,7 @@ class Contacts:
     def strongest(
         self,
         left: Sequence[Array],
-        rows: Sequence[NDArray[np.intp]],
+        rows: Sequence[Index],
         noise: Array,
         count: int,
     ) -> list[Effect]:

@@ -13,10 +13,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.evidence.bayes import heavy_tailed
 from hybrid.diagnosis.evidence.noise import LAGS
 from hybrid.diagnosis.evidence.products import Products
@@ -92,7 +91,7 @@ class Evidence(Products):
             shape (p + 1,), [N²·m²].
     """
 
-    def __init__(self, gap: Gap, use: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, gap: Gap, use: Mask | None = None) -> None:
         super().__init__(gap, use)
         self.precision = np.zeros(0)
         self.covariances = [np.ones(LAGS + 1) for _ in self.rows]

@@ -9,10 +9,9 @@ shape (R,) each, its ``rate``, and the ``cutoff`` of its band, both in [Hz].
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index, Mask
 from hybrid.signals.filters import LOWER_BAND
 
 LAGS = 16  # largest lag of a noise covariance
@@ -35,7 +34,7 @@ class Noise:
     Source: Durbin 1960, doi 10.2307/1401322 (predictors of rising order).
     """
 
-    def __init__(self, covariance: Array, follows: NDArray[np.bool_]) -> None:
+    def __init__(self, covariance: Array, follows: Mask) -> None:
         predictors = _predictors(covariance)  # (p + 1, p + 1)
         count, p = len(follows), len(covariance) - 1
         start = np.where(follows, 0, np.arange(count))
@@ -75,7 +74,7 @@ def _predictors(covariance: Array) -> Array:
     return filters
 
 
-def autocovariance(x: Array, row: NDArray[np.intp], lags: int) -> Array:
+def autocovariance(x: Array, row: Index, lags: int) -> Array:
     """Autocovariance of a residual at lags from 0 to the largest, (lags + 1,)."""
     full = np.zeros(np.ptp(row) + 1 + lags)
     full[row - row.min()] = x
@@ -104,7 +103,7 @@ def floored(covariance: Array, cutoff: float) -> Array:
     return out
 
 
-def without_events(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.bool_]:
+def without_events(x: Array, row: Index, rate: float) -> Mask:
     """Samples of a residual in stretches of usual power, shape (R,).
 
     The power of noise is the same at all times. A stretch with many times the median
@@ -117,23 +116,21 @@ def without_events(x: Array, row: NDArray[np.intp], rate: float) -> NDArray[np.b
     return np.asarray(mean[stretch] <= _EVENT * usual)
 
 
-def low_frequency_excess(
-    x: Array, row: NDArray[np.intp], rate: float, cutoff: float
-) -> float:
+def low_frequency_excess(x: Array, row: Index, rate: float, cutoff: float) -> float:
     """Squares in the lower half of a residual's band beyond those of its noise."""
     power, f = _spectrum(x, row, rate)
     lower, upper = power[f < LOWER_BAND * cutoff], _upper(power, f / cutoff)
     return float(lower.sum() - len(lower) * upper.mean()) if len(upper) else 0.0
 
 
-def noise_bound(x: Array, row: NDArray[np.intp], rate: float, cutoff: float) -> float:
+def noise_bound(x: Array, row: Index, rate: float, cutoff: float) -> float:
     """Upper bound of the mean square of a signal's noise, from its upper half band."""
     power, f = _spectrum(x, row, rate)
     upper = _upper(power, f / cutoff)
     return float(np.sum(f < cutoff) * upper.mean() / len(x)) if len(upper) else 0.0
 
 
-def _spectrum(x: Array, row: NDArray[np.intp], rate: float) -> tuple[Array, Array]:
+def _spectrum(x: Array, row: Index, rate: float) -> tuple[Array, Array]:
     """Squares of a residual at each frequency of both signs, and the frequencies."""
     full = np.zeros(np.ptp(row) + 1)
     full[row - row.min()] = x

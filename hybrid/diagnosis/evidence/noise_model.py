@@ -5,7 +5,6 @@ explanation where that is smaller.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.arrays import Array, Index
@@ -103,9 +102,7 @@ class NoiseModel:
         evidence.set_covariances(covariances)
 
     @staticmethod
-    def _law_error(
-        torque: Array, row: NDArray[np.intp], part: float
-    ) -> tuple[float, Array]:
+    def _law_error(torque: Array, row: Index, part: float) -> tuple[float, Array]:
         """Noise and covariance of errors that are a part of some torque."""
         covariance = part**2 * autocovariance(torque, row, LAGS)
         return float(covariance[0] * autocorrelation_time(torque, row)), covariance

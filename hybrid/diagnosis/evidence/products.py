@@ -3,9 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.evidence.joint_products import JointProducts
 from hybrid.diagnosis.evidence.noise import Noise
 from hybrid.diagnosis.gap.gap import Columns, Gap
@@ -31,7 +30,7 @@ class Products:
         size: Number of columns K.
     """
 
-    def __init__(self, gap: Gap, use: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, gap: Gap, use: Mask | None = None) -> None:
         self.gap = gap
         n = gap.robot.size
         moving = gap.moving if use is None else gap.moving & use[:, None]

@@ -1,17 +1,14 @@
 """Orders of torque ripple in a residual, from its spectrum over position."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 
 _MOST_PERIODS = 400  # per turn
 _FILTER_ORDER = 5  # of the low-pass filter that signals pass
 
 
-def ripple_orders(
-    left: Array, q: Array, v: Array, cutoff: float, count: int
-) -> NDArray[np.intp]:
+def ripple_orders(left: Array, q: Array, v: Array, cutoff: float, count: int) -> Index:
     """Strongest orders of torque that is periodic in position, strongest first.
 
     A ripple of order k has the frequency k·v/2π. Each sample is weighted by what the

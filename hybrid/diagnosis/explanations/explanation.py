@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.candidates import Term
@@ -115,7 +114,7 @@ class Explanation:
         )
         return self if here > TAIL * there else self.learnt
 
-    def blocks(self, i: int) -> NDArray[np.intp]:
+    def blocks(self, i: int) -> Index:
         """Block of time of each test sample of a joint, for the bootstrap."""
         return seconds(self.gap)[self.evidence.rows[i]]
 

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.signals.filters import butterworth
@@ -60,7 +59,7 @@ def joint_laws(gap: Gap, joint: int) -> Iterator[tuple[str, Array]]:
 
 
 def waves(
-    gap: Gap, joint: int, left: Array, rows: NDArray[np.intp]
+    gap: Gap, joint: int, left: Array, rows: Index
 ) -> Iterator[tuple[str, Array]]:
     """Yield the strongest sinusoids of a joint's residual, over position and time.
 

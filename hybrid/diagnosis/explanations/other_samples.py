@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from weakref import proxy
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.gap.background import (
@@ -53,7 +52,7 @@ class OtherSamples:
         use: The samples.
     """
 
-    def __init__(self, search: Posterior, use: NDArray[np.bool_]) -> None:
+    def __init__(self, search: Posterior, use: Mask) -> None:
         # A reference would be a cycle, which keeps the search's memory alive.
         self._search, self.use, gap = proxy(search), use, search.gap
         self.evidence = Evidence(gap, use)

@@ -18,10 +18,9 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.evidence.candidates import Candidate, candidate
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
 from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
@@ -62,7 +61,7 @@ class Posterior:
     def __init__(
         self,
         gap: Gap,
-        learn: NDArray[np.bool_] | None = None,
+        learn: Mask | None = None,
         without: Sequence[str] = (),
     ) -> None:
         self.gap, self.prior = gap, Prior()
@@ -314,7 +313,7 @@ class Posterior:
         self._set_noise()
 
 
-def around(gap: Gap, contact: Effect) -> NDArray[np.bool_]:
+def around(gap: Gap, contact: Effect) -> Mask:
     """Samples of a contact, and as many before and after, which bound it; (M,)."""
     start, length, recording = (
         contact.values[x] for x in ("start", "duration", "recording")

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.evidence.bayes import PRIOR_FACTORS
 from hybrid.diagnosis.evidence.candidates import Candidate, Term, usual
 from hybrid.diagnosis.evidence.refine import refine
@@ -41,7 +40,7 @@ class Search(Moves):
     def __init__(
         self,
         gap: Gap,
-        learn: NDArray[np.bool_] | None = None,
+        learn: Mask | None = None,
         without: Sequence[str] = (),
     ) -> None:
         super().__init__(gap, learn, without)
@@ -104,7 +103,7 @@ class Search(Moves):
         self.whole = list(self.causes)
         return self.causes
 
-    def happened_in_test(self) -> NDArray[np.bool_]:
+    def happened_in_test(self) -> Mask:
         """Test samples around contacts that happened there alone, shape (M,).
 
         No motion foretells what happens once: those samples can only be for training.

@@ -4,9 +4,8 @@ from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.evidence.bayes import log_bayes
 from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.evidence.evidence import Evidence
@@ -74,7 +73,7 @@ class UnknownLaws:
         laws = self._without_waves(joint)
         return next(columns for name, columns in laws if name == law.place[0])
 
-    def foretold(self, joint: int, left: Array, then: NDArray[np.bool_]) -> float:
+    def foretold(self, joint: int, left: Array, then: Mask) -> float:
         """Share of squares at some time that a law explains which fits all other times.
 
         Only laws count that have a good part of the best one's evidence there.
