@@ -64,6 +64,11 @@ def plain(x: Any) -> Any:
     return None if isinstance(x, float) and not isfinite(x) else x
 
 
+def counted(count: int, noun: str) -> str:
+    """A number of things in words: ``1 arm``, ``1,200 arms``."""
+    return f"{count:,} {noun}{'s' * (count != 1)}"
+
+
 def decimals_of(size: float, digits: int, *, most: int = 9) -> int:
     """Decimals with which a size has some significant digits."""
     return min(max(digits - 1 - floor(log10(size)), 0), most)

@@ -16,7 +16,9 @@ from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.diagnose import examine
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.viscous import Viscous
+from hybrid.exports.simulator.check import gaps
 from hybrid.identification import identify, validate
+from hybrid.identification.preparation import motions_from_logs
 from hybrid.inspect import inspect_recording
 from hybrid.model import DynamicModel
 from hybrid.online import OnlineIdentifier, Sample
@@ -123,6 +125,19 @@ def test_a_picture_shows_models_as_the_logger_does():
     residuals = [x for x in figure.axes if "residual" in x.get_ylabel()]
     most = [np.abs(line.get_ydata()).max() for x in residuals for line in x.lines]
     assert len(most) >= 2 and max(most) < 0.25 * LEVEL
+
+
+def test_an_export_is_compared_with_a_log_as_it_is_validated():
+    fit, _ = quiet(identify, arm("planar"), filtered_logs()[:3], stages=("rigid",))
+    model, log = fit.model, filtered_logs()[3]
+    (motion,), _ = motions_from_logs([log], model.cutoff)
+    still = replace(motion, v=motion.v * [1.0, 0.0])
+    rows, _ = quiet(validate, model, [log])
+    whole, told = quiet(gaps, model, model.robot, [motion])
+    np.testing.assert_allclose(whole["model"], rows.rows[-1].rms)
+    assert "low-pass filtered at about 2." in told[0]
+    found, _ = quiet(gaps, model, model.robot, [still])
+    assert np.isfinite(found["exported"]).tolist() == [True, False]
 
 
 def test_an_inspection_tells_a_filter():

@@ -340,8 +340,9 @@ class TestVerdict:
 
     @pytest.mark.parametrize(
         ("named", "where"),
-        [((0.1, 2.0), "1 of 2 joints"), ((0.9, 2.0), "no joint in full"),
-         ((0.1, 0.2), "2 of 2 joints")],
+        [((0.1, 2.0), "nearly all of the gap at 1 of 2 joints"),
+         ((0.9, 2.0), "the gap at no joint in full"),
+         ((0.1, 0.2), "nearly all of the gap at 2 of 2 joints")],
     )  # fmt: skip
     def test_part_of_a_gap_is_said_by_its_joints_on_held_out_motion(self, named, where):
         """Not by a share in units of noise, to which small joints add as much."""
@@ -353,7 +354,7 @@ class TestVerdict:
             unseen=gaps,
         )
         assert verdict_lines(found)[1] == (
-            f"Partly explained: the gap at {where}; of the rest no cause is certain."
+            f"Partly explained: {where}; of the rest no cause is certain."
         )
 
     def test_doubts_come_before_all_details(self):
@@ -406,18 +407,21 @@ class TestVerdict:
             (4.0, 2.0), (1.2, 1.9), (0.9, 2.1), (1.0, 1.0), (0.8, 0.5), (1.2, 1.9)
         )
         where = headline(replace(some, unseen=left)).replace("\u00a0", " ")
-        assert where.endswith("; most is left at elbow: 1.9 of 2 N·m")
+        assert where.endswith("; most is left at elbow: 1.9 of 2 N·m, noise 0.5")
         less = replace(left, after=(1.2, 0.5), named=(1.2, 1.3))
         where = headline(replace(some, unseen=less))
-        assert where.endswith("; most is left at elbow: 1.3 of 2\u00a0N·m")
+        assert where.endswith(
+            "elbow: 1.3 of 2\u00a0N·m, the written simulator leaves 0.5, noise 0.5"
+        )
         where = headline(replace(some, unseen=replace(left, named=(1.2, 2.1))))
         where = where.replace("\u00a0", " ")
         assert where.endswith(
-            "elbow: none of 2 N·m has a certain cause, the written simulator leaves 1.9"
+            "elbow: none of 2 N·m has a certain cause, the written simulator leaves "
+            "1.9, noise 0.5"
         )
         kept = replace(left, after=(1.2, 2.1), named=(1.2, 2.1))
         where = headline(replace(some, unseen=kept)).replace("\u00a0", " ")
-        assert where.endswith("; most is left at elbow, none of 2 N·m is explained")
+        assert where.endswith("elbow: none of 2 N·m has a certain cause, noise 0.5")
         some = replace(some, unseen=None)
         assert headline(some).startswith("Coulomb friction at 3 joints, Coulomb ")
         assert headline(some).endswith(" and 1 more effect; 31% of the gap is left")

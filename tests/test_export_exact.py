@@ -367,7 +367,10 @@ def test_a_simulator_is_compared_while_a_joint_moves_and_the_log_counts():
     exact = file_torque(robot, SimpleNamespace(robot=robot), replace(log, v=v))
     motion = replace(log, v=v, mask=mask, tau=exact + error)
     model = SimpleNamespace(
-        robot=robot, standing=np.full(2, 0.1), predict=lambda m: m.tau - 2.0 * error
+        robot=robot,
+        standing=np.full(2, 0.1),
+        cutoff=10.0,
+        predict=lambda m: m.tau - 2.0 * error,
     )
     found = gaps(model, robot, [motion])
     for name in ("as it was", "exported"):

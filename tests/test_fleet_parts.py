@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from datetime import date
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from hybrid.fleets.scatter import (
     calibrated_std,
     moderated,
 )
+from hybrid.report.fleet import lead_sentence
 
 # --- pooling --------------------------------------------------------------------------
 
@@ -331,6 +333,18 @@ def test_of_four_arms_one_may_be_unlike_the_others(arms, told):
     y = np.append(0.001 * np.arange(arms - 1.0), 900.0)
     _, unlike = pooled(y, np.full(arms, 0.01))
     assert unlike.tolist() == [False] * (arms - 1) + [told]
+
+
+@pytest.mark.parametrize(
+    ("count", "arms", "periods"), [(1, "1 arm", "1 period"), (2, "2 arms", "2 periods")]
+)
+def test_one_of_a_kind_is_singular(count, arms, periods):
+    rows = [{"arm": f"arm_{k}"} for k in range(count)]
+    each = {"alarms": (), "states": (), "arm_months": 3.0, "refused": rows}
+    said = lead_sentence(SimpleNamespace(rows=rows, **each))
+    assert said.startswith(f"{arms} over") and said.endswith(
+        f" {periods} without a result."
+    )
 
 
 @pytest.mark.parametrize(("times", "told"), [(0.97, False), (1.03, True)])

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, lfilter_zi
 
+from hybrid.errors import IdentificationError
 from hybrid.online import Sample
 from hybrid.online.health import Health
 from hybrid.online.intake import Intake
@@ -34,6 +35,11 @@ def test_blocks_follow_each_other_with_the_samples_before_them():
         np.testing.assert_allclose(
             block[:, 4], 5.0 + 0.01 * np.arange(first, first + 7)
         )
+
+
+def test_a_sample_has_as_many_numbers_of_each_kind_as_joints():
+    with pytest.raises(IdentificationError, match="4 numbers .* valid are 2 of each"):
+        intake().take(Sample(0.0, np.zeros(1), np.zeros(3)))
 
 
 @settings(max_examples=60)

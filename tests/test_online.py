@@ -13,6 +13,7 @@ from hybrid.effects import effects_from_text
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError, RecordingError
 from hybrid.identification import DynamicModel
@@ -22,7 +23,9 @@ from hybrid.online.layout import RowLayout
 from hybrid.online.square_root import SquareRootFilter
 from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
+from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
+from hybrid.signals import Sampler
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 RATE = 250.0
@@ -385,6 +388,35 @@ def test_it_goes_on_from_a_model_and_gives_one_back():
     np.testing.assert_allclose(again.theta[:p], after_thirty_seconds().theta[:p])
     tracked(log(seconds=10.0, seed=0), again)
     assert np.abs(again.error).max() < 3
+
+
+@pytest.mark.parametrize("band", [np.inf, 2.5])
+def test_what_a_model_foretells_does_not_change_it(band):
+    """A knee has dependent columns, and a logger may have filtered the torque."""
+    robot = Robot.load(MODELS / "planar.xml")
+    knee = {"coulomb_positive": 1.0, "coulomb_negative": 1.5, "rising": 4.0,
+            "threshold": 0.5, "width": 0.02}  # fmt: skip
+    problem = build_problem(robot.chain, effects := [ThresholdFriction((1,), knee)])
+    size = 10 * robot.size
+    base = problem.base.with_values(
+        problem.base.mapping[:, :size] @ robot.chain.inertial.ravel()
+    )
+    seen = {"v_max": np.full(2, 3.0)}
+    model = DynamicModel(
+        robot, base, tuple(effects), cutoff=20.0, band=band, range=seen
+    )
+    motion = random_fourier(robot, duration=20.0, rate=RATE, seed=0)
+    tau = Sampler(RATE, band, 1)(model.predict(motion))
+    tracker = OnlineIdentifier.from_model(model, rate=RATE)
+    tracked((motion.t, motion.q, tau, None), tracker)
+    (found,) = tracker.model.effects
+    for name, value in knee.items():
+        assert found.values[name] == pytest.approx(value, abs=0.05)
+    assert (tracker.model.cutoff, tracker.model.band) == (20.0, band)
+    assert tracker.model.range == seen
+    assert repr(tracker) == (
+        "<OnlineIdentifier of planar at 250 Hz: 5,001 of 5,001 samples used>"
+    )
 
 
 def test_what_cannot_be_tracked_is_refused():

@@ -581,11 +581,6 @@ def test_the_result_is_said_in_a_sentence():
     assert both.endswith(left)
     quiet = result(after=np.array([0.001, 0.0019]), findings=()).sentence
     assert quiet.endswith("nothing stands out.") and "cause" not in quiet
-    # The file is not wrong in a number that the logs do not tell from its own.
-    open_ = replace(finding("armature"), file=1.0, interval=(0.5, 2.0))
-    assert result(findings=(finding(), finding("delay"), open_)).sentence == said
-    assert result(findings=(open_,)).sentence.startswith("Replays of unseen motion")
-    assert "wrong" not in result(findings=(open_,)).sentence
     rests = result(resting=("hinge_1",))
     assert "miss by 1.0 instead of 20.0 mrad" in rests.sentence
     assert "cause" not in rests.sentence

@@ -279,6 +279,10 @@ def test_findings_are_told_by_what_they_are_worth_on_other_motion():
     off = found[0]
     assert off.interval == pytest.approx((off.value - 0.0196, off.value + 0.0196))
     assert off.worth > soft.worth
+    # The file is not wrong in a number that the logs do not tell from its own.
+    std[NAMES.index("stiffness"), 0] = 1.0
+    found = _findings(ROBOT, search.problem, best, std, [other])
+    assert [x.quantity for x in found] == ["offset"]
 
 
 def test_one_log_in_four_is_kept_aside_or_the_end_of_each():

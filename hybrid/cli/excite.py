@@ -27,6 +27,7 @@ from hybrid.report import save_figure
 from hybrid.report.excitation import information_figure, motion_figure, postures_figure
 from hybrid.robot import Robot
 from hybrid.robot.geometry import capsules_from_robot
+from hybrid.shown import counted
 
 HELP = """\
 writes DIR/reference_1.csv ... (time, position, speed, acceleration), DIR/design.json
@@ -145,8 +146,8 @@ def run(args: Namespace, screen: Screen) -> None:
 def _tell(args: Namespace, screen: Screen, found: Design) -> None:
     count = found.observation.size
     screen.say(
-        f"{found.robot.name}: {len(found.trajectories)} motions of {args.duration:g} s "
-        f"for {count} parameters in {args.out}"
+        f"{found.robot.name}: {counted(len(found.trajectories), 'motion')} of "
+        f"{args.duration:g} s for {counted(count, 'parameter')} in {args.out}"
     )
     conditions = found.rigid_conditions.items()
     named = ", ".join(f"{x:.4g} ({columns})" for columns, x in conditions)

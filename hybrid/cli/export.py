@@ -80,7 +80,8 @@ def run(args: Namespace, screen: Screen) -> None:
         screen.say(f"  not in it: {text}")
     for name, missed in gap.items():
         numbers = ", ".join(f"{x:.3g}" for x in missed)
-        screen.say(f"  torque missed, {name}: {numbers} N·m RMS")
+        unit = robot.chain.unit_at(range(robot.size), "N·m")
+        screen.say(f"  torque missed, {name}: {numbers} {unit} RMS")
 
 
 def _motions(args: Namespace, model: DynamicModel, screen: Screen) -> list[Motion]:

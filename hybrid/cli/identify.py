@@ -10,6 +10,7 @@ from hybrid.identification import Fit
 from hybrid.identification.three_stage import STAGES
 from hybrid.report.fit import content_from_fit, effects_table, held_out_table
 from hybrid.servo import ServoFit
+from hybrid.shown import counted
 
 HELP = """\
 writes MODEL.json, one file with a hash of all that it says; shows the error of every
@@ -86,7 +87,9 @@ def run(args: Namespace, screen: Screen) -> None:
     if servo:
         _save_servos(servos.fit(args, robot, recordings, screen), args, screen)
         return
-    with screen.working(f"identifying {robot.name} from {len(recordings)} recordings"):
+    with screen.working(
+        f"identifying {robot.name} from {counted(len(recordings), 'recording')}"
+    ):
         fit = identification.identify(
             robot,
             recordings,

@@ -16,6 +16,7 @@ from hybrid.report.inspection import (
     verdict,
     write_inspection,
 )
+from hybrid.shown import counted
 
 HELP = """\
 shows how each file was read, its clock, what every joint does, and what the logs cannot
@@ -50,7 +51,7 @@ def run(args: Namespace, screen: Screen) -> None:
     joints = robot.joints if robot else None
     recordings = options.read_logs(args, screen, joints, torque=False)
     options.begin(args, args.page)
-    with screen.working(f"inspecting {len(recordings)} recordings"):
+    with screen.working(f"inspecting {counted(len(recordings), 'recording')}"):
         found = [inspect_recording(x, robot) for x in recordings]
     options.write_record(args, {"logs": [x.as_dict() for x in found]})
     if args.page:

@@ -10,6 +10,7 @@ from hybrid.plant import simulate
 from hybrid.plant.simulate import TRUTH, content_from_plant, recording_paths, write_run
 from hybrid.recording.formats import kind_of
 from hybrid.recording.write import writer_of
+from hybrid.shown import counted
 
 HELP = """\
 writes DIR/trajectory_1.csv ... and DIR/truth.json, which holds the effects with their
@@ -65,8 +66,8 @@ def run(args: Namespace, screen: Screen) -> None:
     files = [{"file": path.name, "sha256": options.sha256(path)} for path in paths]
     options.write_record(args, truth | {"recordings": files})
     screen.say(
-        f"{plant.robot.name}: {len(paths)} trajectories of {args.duration:g} s with "
-        f"{len(plant.effects)} effects in {args.out}"
+        f"{plant.robot.name}: {counted(len(paths), 'motion')} of {args.duration:g} s "
+        f"with {counted(len(plant.effects), 'effect')} in {args.out}"
     )
     _warn_of_others(args.out, paths)
 

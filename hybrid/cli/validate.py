@@ -8,6 +8,7 @@ from hybrid.identification import validate
 from hybrid.model.dynamic_model import check_same_arm
 from hybrid.report import table_from_validation
 from hybrid.report.table import shared_unit
+from hybrid.shown import counted
 
 HELP = """\
 shows the RMS torque error of the model and of its simpler versions, joint by joint,
@@ -36,7 +37,7 @@ def run(args: Namespace, screen: Screen) -> None:
     check_same_arm(model, robot)  # before a recording is blamed for it
     recordings = options.read_logs(args, screen, robot.joints)
     options.begin(args)
-    with screen.working(f"validating on {len(recordings)} recordings"):
+    with screen.working(f"validating on {counted(len(recordings), 'recording')}"):
         validation = validate(model, recordings, robot=robot)
     options.write_record(args, validation.as_dict())
     screen.show(table_from_validation(validation))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.arguments import typed
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.errors import RecordingError, warn
 from hybrid.files import write_json
 from hybrid.identification.preparation import (
@@ -142,27 +142,13 @@ def validate(
     motions, _ = motions_from_logs(logs, model.cutoff)
     check_torque(motions)
     warn_of_own_logs(model, logs)
-    slowest = model.standing if standing is None else standing
-    if not np.size(slowest):  # a model that was not identified
-        slowest = standing_speed(motions)
-    each = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
-    moving = np.concatenate(each)
-    count = moving.sum(axis=0)
-
-    def rms(residual: Sequence[Array]) -> Array:
-        squares = np.where(moving, np.concatenate(residual), 0.0) ** 2
-        mean = squares.sum(axis=0) / np.maximum(count, 1)
-        return np.where(count > 0, np.sqrt(mean), np.nan)
-
-    size = np.maximum(rms([m.tau for m in motions]), 1e-300)
+    slowest = slowest_moving(model, motions) if standing is None else standing
+    size = np.maximum(rms_torque(motions, slowest), 1e-300)
     rows, floors = list[ValidationRow](), list[Array]()
-    filters = _loggers(model, motions)
+    filters = loggers(model, motions)
     for name, one in {**model.simpler, model.stage: model}.items():
-        left = [
-            replace(m, tau=m.tau - seen(one.predict(m)))
-            for m, seen in zip(motions, filters, strict=True)
-        ]
-        error = rms([m.tau for m in left])
+        left = residuals(motions, one.predict, filters)
+        error = rms_torque(left, slowest)
         rows.append(ValidationRow(name, error, error / size))
         floor = noise_floor(left, model.cutoff)
         floors += [] if floor is None else [floor, error]
@@ -173,15 +159,48 @@ def validate(
         rows=tuple(rows),
         noise_floor=np.fmin.reduce(floors) if floors else None,
         sources=tuple(m.source for m in motions),
-        samples=int(count.max()),
+        samples=int(_moving(motions, slowest).sum(axis=0).max()),
         seconds=float(sum(m.t[-1] - m.t[0] for m in motions)),
     )
 
 
-def _loggers(
+def slowest_moving(model: DynamicModel, motions: Sequence[Motion]) -> Array:
+    """Speed below which a joint stands, shape (n,), [rad/s]: that of the model."""
+    identified = np.size(model.standing) > 0
+    return model.standing if identified else standing_speed(motions)
+
+
+def _moving(motions: Sequence[Motion], slowest: Array) -> Mask:
+    """Samples that count and at which a joint moves, shape (N, n)."""
+    each = [(np.abs(m.v) > slowest) & m.mask[:, None] for m in motions]
+    return np.concatenate(each)
+
+
+def rms_torque(motions: Sequence[Motion], slowest: Array) -> Array:
+    """RMS torque of each joint while it moves, (n,), [N·m]; NaN if it never does."""
+    moving = _moving(motions, slowest)
+    squares = np.where(moving, np.concatenate([m.tau for m in motions]), 0.0) ** 2
+    count = moving.sum(axis=0)
+    mean = squares.sum(axis=0) / np.maximum(count, 1)
+    return np.where(count > 0, np.sqrt(mean), np.nan)
+
+
+def residuals(
+    motions: Sequence[Motion],
+    predict: Callable[[Motion], Array],
+    filters: Sequence[Callable[[Array], Array]],
+) -> list[Motion]:
+    """Motions with the torque, (N, n), [N·m], that a prediction leaves as logged."""
+    return [
+        replace(m, tau=m.tau - seen(predict(m)))
+        for m, seen in zip(motions, filters, strict=True)
+    ]
+
+
+def loggers(
     model: DynamicModel, motions: Sequence[Motion]
 ) -> list[Callable[[Array], Array]]:
-    """What each logger shows of a torque; it may have filtered it.
+    """What each logger shows of a torque, (N, n), [N·m]; it may have filtered it.
 
     Warns:
         HybridWarning: One has.

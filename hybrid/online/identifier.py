@@ -40,6 +40,7 @@ _STANDING = 0.01  # of a joint's rated speed
 _NOISE = 0.02  # of the rated torque, before the first sample
 _IMPLAUSIBLE = 10.0  # of the sum of the rated speeds, and of the rated torques
 _UPDATES, _ROWS = 5.0, 25.0  # per period of the cut-off
+_PASSED = 0.5  # of a logger's bandwidth, below which its filter leaves nearly all
 _SETTLING = 1.5  # periods of the cut-off in which the filter still holds older samples
 
 
@@ -99,7 +100,12 @@ class OnlineIdentifier:
                 "valid are effects that add torque"
             )
         self.robot, self.rate = robot, rate
-        problem = build_problem(robot.chain, effects, inertial=inertial)
+        # Of gains with dependent columns, those that are zero are no unknowns.
+        zero = [
+            (e, x) for e, y in enumerate(effects) for x, v in y.values.items() if not v
+        ]
+        nonzero = build_problem(robot.chain, effects, inertial=inertial, without=zero)
+        problem = nonzero.complete()
         scales = self._scales = joint_scales(robot)
         start = InitialEstimate(problem, scales, prior, shape_prior)
         self.problem = replace(problem, effects=start.effects)
@@ -130,6 +136,13 @@ class OnlineIdentifier:
         self._calls, self._done, self._steps = self._block, 0, self._block
         self._change: Change | None = None
         self.changes: list[Change] = []
+        self._origin = DynamicModel(
+            robot, problem.base, cutoff=cutoff, standing=self._standing
+        )
+
+    def __repr__(self) -> str:
+        name, seen = self.robot.name, self.health.summary
+        return f"<OnlineIdentifier of {name} at {self.rate:.4g} Hz: {seen}>"
 
     @classmethod
     @typed
@@ -141,16 +154,24 @@ class OnlineIdentifier:
         Torque is expected from the same logger, which may have filtered it.
         """
         inertial = model.base.standard()[: 10 * model.robot.size]
-        return cls(
+        tracker = cls(
             model.robot,
             model.effects,
             rate=rate,
             inertial=inertial.reshape(-1, 10),
-            cutoff=min(model.cutoff, model.band, 10.0),
+            cutoff=min(model.cutoff, _PASSED * model.band, 10.0),
             prior=prior,
             shape_prior=0.0,
             standing=model.standing if model.standing.size else None,
         )
+        tracker._origin = replace(
+            model,
+            remainder=None,
+            inertial=None,
+            covariance=np.zeros((0, 0)),
+            simpler={},
+        )
+        return tracker
 
     @property
     def delay(self) -> float:
@@ -208,7 +229,7 @@ class OnlineIdentifier:
         base, effects = self.problem.fitted(self._estimate.filter.mean[:p])
         shapes = iter(self._estimate.filter.mean[p:].tolist())
         found = tuple(e.at({s.name: next(shapes) for s in e.shapes}) for e in effects)
-        return DynamicModel(self.robot, base, found, standing=self._standing)
+        return replace(self._origin, base=base, effects=found)
 
     @property
     def taken(self) -> Array:

@@ -138,7 +138,7 @@ class Intake:
             row = np.concatenate(parts, dtype=float)
         except (TypeError, ValueError) as error:
             raise IdentificationError(f"a sample is not of numbers: {error}") from error
-        if row.size != self._rows.shape[1]:
+        if {np.size(x) for x in parts[1:]} != {self._n}:
             raise IdentificationError(
                 f"a sample has {row.size - 1} numbers beside its time; valid are "
                 f"{self._n} of each kind, {self._rows.shape[1] - 1} in all"

@@ -6,6 +6,7 @@ import numpy as np
 
 from hybrid.errors import RecordingError, warn
 from hybrid.recording.recording import Recording, row_words
+from hybrid.shown import counted
 
 JITTER = 0.01  # of a step; less is below the error of a central difference
 GAP = 10  # steps; a longer gap is not interpolated
@@ -81,8 +82,9 @@ def unbroken(recording: Recording) -> tuple[Recording, ...]:
     seconds = np.ptp(recording.t) - sum(np.ptp(recording.t[r]) for r in kept)
     warn(
         f"{recording.source or 'recording'}: t, {row_words(int(jumps[0]))}: first of "
-        f"{len(jumps)} gaps of more than {GAP} steps; taken as {len(kept)} "
-        f"recordings, without {seconds:.3g} s of gaps and of parts below {PART:g} s"
+        f"{counted(len(jumps), 'gap')} of more than {GAP} steps; taken as "
+        f"{counted(len(kept), 'recording')}, without {seconds:.3g} s of gaps and of "
+        f"parts below {PART:g} s"
     )
     parts = []
     for r in kept:

@@ -19,6 +19,7 @@ from hybrid.names import figure_text, file_stems
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, RED, Figure, new_figure, panels
 from hybrid.report.table import Table
+from hybrid.shown import counted
 from hybrid.statistics import HALF_WIDTH
 
 _MOST_ROWS = 40  # arms of the heat map and of the list
@@ -220,9 +221,9 @@ def lead_sentence(fleet: Fleet) -> str:
     changed = {x.arm for x in fleet.alarms}
     unlike = {x.arm for x in fleet.states if x.unlike}
     return (
-        f"{len(arms):,} arms over {fleet.arm_months:,.0f} arm-months: {len(changed):,} "
-        f"changed, {len(unlike):,} unlike the others, {len(fleet.refused):,} periods "
-        "without a result."
+        f"{counted(len(arms), 'arm')} over {fleet.arm_months:,.0f} arm-months: "
+        f"{len(changed):,} changed, {len(unlike):,} unlike the others, "
+        f"{counted(len(fleet.refused), 'period')} without a result."
     )
 
 

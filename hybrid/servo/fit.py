@@ -190,7 +190,7 @@ def _findings(
     std: Array,
     unseen: Sequence[Stretch],
 ) -> tuple[ServoFinding, ...]:
-    """The causes, ordered by what they are worth on held-out motion."""
+    """Causes for which the file is wrong, ordered by their worth on held-out motion."""
     x, prior, findings = best.found.x, problem.prior, []
     places = np.argwhere(best.causes).tolist()
     alone = [x.copy() for _ in places]
@@ -215,7 +215,8 @@ def _findings(
             worth=float((error - errors[0])[slice(None) if SHARED[k] else j].max()),
         )
         findings.append(finding)
-    return tuple(sorted(findings, key=lambda f: -f.worth))
+    wrong = [f for f in findings if not f.interval[0] <= f.file <= f.interval[1]]
+    return tuple(sorted(wrong, key=lambda f: -f.worth))
 
 
 def _unsaid(robot: Robot, drive: Drive, after: Array, written: Array) -> list[str]:

@@ -81,8 +81,8 @@ class ServoFit(Shown):
         plain_drive: Servos of the plain fit.
         std: Standard deviations, relative for positive quantities, else in their unit;
             shape (len(QUANTITIES), n).
-        findings: Parameters with other values than in the file, the most important
-            first; the file is wrong where its value is outside the interval.
+        findings: Parameters whose value in the file is outside their interval, the
+            most important first.
         before: RMS replay error on held-out motion with the file, shape (n,), [rad].
         plain: The same with the plain fit of stiffness, damping, friction, rotor,
             offset and delay.
@@ -123,10 +123,7 @@ class ServoFit(Shown):
         before, after = (
             1000 * float(x[moving].mean()) for x in (self.before, self.after)
         )
-        wrong = [
-            x for x in self.findings if not x.interval[0] <= x.file <= x.interval[1]
-        ]
-        each = ((x.quantity.replace("_", " "), x.joint) for x in wrong)
+        each = ((x.quantity.replace("_", " "), x.joint) for x in self.findings)
         names = [f"{quantity} at {joint}" for quantity, joint in dict.fromkeys(each)]
         shown = ", ".join(names[:4]) + (
             f" and {len(names) - 4} more" if len(names) > 4 else ""

@@ -46,7 +46,7 @@ def _joints_explained(diagnosis: Diagnosis) -> str:
     count = sum(x <= 1.0 - EXPLAINED for x in unknown)
     if not count:
         return "the gap at no joint in full"
-    return f"the gap at {count} of {len(unknown)} joints"
+    return f"nearly all of the gap at {count} of {len(unknown)} joints"
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -90,12 +90,12 @@ def _rest(diagnosis: Diagnosis) -> str:
         return f"{rest:.0%} of the gap is left"
     joint, end, x = max(unseen, key=lambda x: x[2]["named"] - x[2]["noise"])
     whole = f"{number(x['before'])}{end or _NO_BREAK + _TORQUE}"
+    left = f"none of {whole} has a certain cause"
     if x["named"] < x["before"]:
-        return f"most is left at {joint}: {number(x['named'])} of {whole}"
-    if x["after"] >= x["before"]:
-        return f"most is left at {joint}, none of {whole} is explained"
-    left = f"the written simulator leaves {number(x['after'])}"
-    return f"most is left at {joint}: none of {whole} has a certain cause, {left}"
+        left = f"{number(x['named'])} of {whole}"
+    if x["after"] < (1.0 - _SAME) * min(x["named"], x["before"]):
+        left += f", the written simulator leaves {number(x['after'])}"
+    return f"most is left at {joint}: {left}, noise {number(x['noise'])}"
 
 
 def joints_named(names: Sequence[str]) -> str:

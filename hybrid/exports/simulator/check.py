@@ -4,11 +4,15 @@ import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.errors import HybridWarning
+from hybrid.identification.validation import (
+    loggers,
+    residuals,
+    rms_torque,
+    slowest_moving,
+)
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
 from hybrid.signals import Motion
@@ -19,16 +23,18 @@ def gaps(
 ) -> dict[str, Array]:
     """RMS torque error of a model, its simulator and the exported one, if joints move.
 
+    Errors are those of the torque as the logger shows it.
+
     Returns:
         RMS of ``as it was``, ``exported`` and ``model``, shape (n,), [N·m].
+
+    Warns:
+        HybridWarning: The torque was low-pass filtered before it was logged.
     """
-    moving = np.concatenate(
-        [(np.abs(m.v) > model.standing) & m.mask[:, None] for m in motions]
-    )
+    slowest, filters = slowest_moving(model, motions), loggers(model, motions)
 
     def rms(predict: Callable[[Motion], Array]) -> Array:
-        error = np.concatenate([m.tau - predict(m) for m in motions])
-        return np.asarray(np.sqrt(np.mean(error**2, axis=0, where=moving)))
+        return rms_torque(residuals(motions, predict, filters), slowest)
 
     own = model.robot.path or model.robot
     return {
