@@ -31,8 +31,9 @@ def ripple_orders(left: Array, q: Array, v: Array, cutoff: float, count: int) ->
         wave *= step
         passed = 1.0 / (1.0 + float(k) ** (2 * _FILTER_ORDER) * pace)
         power = passed @ passed
-        if power > 0.02 * len(q):
-            score[k] = np.abs((passed * left) @ wave) ** 2 / power
+        if power <= 0.02 * len(q):
+            break  # less is passed of higher orders
+        score[k] = np.abs((passed * left) @ wave) ** 2 / power
     inner = score[1:-1]
     peak = np.flatnonzero((inner >= score[:-2]) & (inner >= score[2:])) + 1
     best = peak[np.argsort(-score[peak])]
