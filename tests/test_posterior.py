@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pendulum import NOISE, gap_of, pendulum, swings, with_torque
 
+from hybrid.diagnosis.answer.findings import fitted_values
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
@@ -422,6 +423,15 @@ def test_values_are_off_by_as_much_as_their_intervals_say():
             error = effect.values["level"] - true.values["level"]
             off.append(error / effect.std["level"])
     assert 0.4 < np.sqrt(np.mean(np.square(off))) < 1.5
+
+
+def test_no_friction_that_is_reported_drives_its_joint():
+    known = gap_of(RUBS.at({"level": -0.3}))
+    at = Search(known, split(known), [x for x in effect_classes() if x not in FEW])
+    at.causes = [cause(at, RUBS)]
+    (found,) = refit(at)
+    ((low, high),) = [x.interval for x in fitted_values(known, found)]
+    assert found.values["level"] == 0.0 == low < high
 
 
 def test_the_interval_of_a_shape_is_that_of_all_that_fit_nearly_as_well():
