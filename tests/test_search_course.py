@@ -65,7 +65,10 @@ class Course(Search):
         return self._do("add", False)
 
     def _exchange(self, cause):
-        return self._do(f"exchange {cause.place[0]}", False)
+        done = self._do(f"exchange {cause.place[0]}", False)
+        if not done:
+            self._checked[cause] = self._neighbours(cause), self._settings
+        return done
 
     def _fit_file_error(self):
         return self._do("fit", False)
@@ -97,13 +100,46 @@ class Course(Search):
 
 
 def test_a_round_adds_and_exchanges_until_nothing_changes():
-    at = Course([A, B], add=[True, True, False, False], **{"exchange a": [True]})
-    at._exchange = lambda cause: at._do(f"exchange {cause.place[0]}", False) or False
-    at.answers["exchange a"] = [True, False, False]
+    tried = {"exchange a": [True, False, False]}
+    at = Course([A, B], add=[True, True, False, False], **tried)
     at._improve()
     assert at.did[:5] == ["add", "add", "add", "exchange a", "exchange b"]
     # What was tried in vain is tried again only where something near has changed.
     assert at.did[5:] == ["add", "exchange a", "fit", "exchange file"]
+
+
+class Exchange(Course):
+    """A course with the exchange of a search, of stated proposals."""
+
+    _exchange = Search._exchange
+
+    def proposals(self, causes, own=None):
+        self.did.append(f"proposals {own.place[0]}")
+        return self.answers["proposals"]
+
+    def is_cross_validated(self, causes):
+        return False
+
+    def _with_shapes_refitted(self, causes, new):
+        return [*causes, new]
+
+
+@pytest.mark.parametrize(("worth", "again"), [(94.0, 1), (92.0, 0)])
+def test_other_noise_lets_a_cause_be_exchanged_where_another_one_is_near(worth, again):
+    proposed = [SimpleNamespace(cause=B, worth=worth)]  # of 100 nats, and odds of 7
+    score = {"": 0.0, "a": 100.0, "b": worth}
+    at = Exchange([A], score=score, proposals=proposed)
+    at._improve()
+    at._improve()
+    assert at.did.count("proposals a") == 1
+    at.evidence.noise = at.evidence.noise / 2
+    at._improve()
+    assert at.did.count("proposals a") == 1 + again
+    at.causes = [A, cause("d")]  # at the same joint
+    at.answers["score"] = {"ad": 120.0, "d": 20.0, "a": 100.0, "bd": 30.0, "ab": 100.0}
+    before = at.did.count("proposals a")
+    at._improve()
+    assert at.did.count("proposals a") == before + 1
 
 
 def test_a_round_is_repeated_where_the_error_of_the_file_has_changed():

@@ -33,13 +33,10 @@ def log_bayes(
     A = np.eye(s.shape[-1]) + unit[..., :, None] * H * unit[..., None, :]
     b, least = unit * s, lower * np.sqrt(precision)
     x = np.asarray(np.linalg.solve(A, b[..., None])[..., 0])
-    for k in map(tuple, np.argwhere(np.any(x < least, axis=-1))):
-        free = x[k] >= least[k]
-        held = np.where(free, 0.0, least[k])
-        if free.any():
-            rest = b[k][free] - A[k][free] @ held
-            held[free] = np.linalg.solve(A[k][np.ix_(free, free)], rest)
-        x[k] = np.maximum(held, least[k])
+    least = np.broadcast_to(least, x.shape)
+    out = np.any(x < least, axis=-1)
+    if out.any():
+        x[out] = _within_bounds(A[out], b[out], x[out], least[out])
     _, occam = np.linalg.slogdet(A)
     worth, gains = _quadratic(A, b, x) - 0.5 * occam, np.asarray(unit * x)
     if fixed_gains is not None:
@@ -72,6 +69,16 @@ def heavy_tailed(
     best = np.argmax(worth, axis=0)
     chosen = np.take_along_axis(gains, best[None, ..., None], axis=0)[0]
     return worth.max(axis=0), chosen, np.array(PRIOR_FACTORS)[best]
+
+
+def _within_bounds(A: Array, b: Array, x: Array, least: Array) -> Array:
+    """Solutions of A x = b, (B, p), with those below their bounds held there."""
+    free = x >= least
+    held = np.where(free, 0.0, least)
+    rest = np.where(free, b - (A @ held[..., None])[..., 0], held)
+    both = free[..., :, None] & free[..., None, :]
+    among = np.where(both, A, np.eye(x.shape[-1]) * ~free[..., None])
+    return np.maximum(np.linalg.solve(among, rest[..., None])[..., 0], least)
 
 
 def _quadratic(A: Array, b: Array, x: Array) -> Array:

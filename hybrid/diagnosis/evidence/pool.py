@@ -20,6 +20,9 @@ from hybrid.diagnosis.evidence.ripples import ripple_orders
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.diagnosis.prior import Prior
+from hybrid.effects import Effect
+
+_Form = tuple[object, ...]
 
 _RIPPLES, _MOST_RIPPLES = 3, 24  # orders added at each joint at a time, and in all
 
@@ -41,6 +44,8 @@ class Pool:
         self.without = tuple(without)
         self.tried: list[Term] = []
         self._fixed_gains: list[Array | None] = []
+        self._prices: list[float] = []
+        self._forms: list[_Form] = []
         events = repeating("recording", without)
         self._events = [Contacts(self.gap, law) for law in events]
         self._add(candidates(self.gap, without))
@@ -62,6 +67,8 @@ class Pool:
             index = self.evidence.add(blocks, [c.std for c in kept])
             self.tried += [Term(c, i) for c, i in zip(kept, index, strict=True)]
             self._fixed_gains += [c.fixed_gains(self.gap) for c in kept]
+            self._prices += [price(c.effect) for c in kept]
+            self._forms += [_form(c.effect) for c in kept]
 
     def add_ripples(self, base: Index, count: int = _RIPPLES) -> None:
         """Add ripples of the strongest orders at each joint in a base's residual."""
@@ -118,14 +125,16 @@ class Pool:
             self._fixed_gains,
             np.zeros(0, dtype=np.intp) if less is None else less,
         )
-        best: dict[tuple[object, ...], tuple[Candidate, float]] = {}
-        for term, worth in zip(self.tried, gains, strict=True):
-            if term.place in taken:
-                continue
-            effect = term.candidate.effect
-            inner = (x.name for x in effect.shapes if x.inner and x.whole)
-            form = *term.place, *(effect.values[name] for name in inner)
-            worth -= price(effect)
-            if form not in best or worth > best[form][1]:
-                best[form] = term.candidate, float(worth)
-        return sorted(best.values(), key=lambda x: -x[1])
+        worth = gains - self._prices
+        best: dict[_Form, tuple[Candidate, float]] = {}
+        for k in np.argsort(-worth, kind="stable"):
+            term = self.tried[k]
+            if term.place not in taken:
+                best.setdefault(self._forms[k], (term.candidate, float(worth[k])))
+        return list(best.values())
+
+
+def _form(effect: Effect) -> _Form:
+    """Place of an effect, and its inner shapes that are whole numbers."""
+    inner = (x.name for x in effect.shapes if x.inner and x.whole)
+    return effect.id, effect.joints, *(effect.values[name] for name in inner)

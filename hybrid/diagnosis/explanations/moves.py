@@ -21,6 +21,7 @@ class Moves(Proposals):
     causes: list[Cause]
     _certain: list[Cause]  # causes that stay
     _progress: Progress
+    _checked: dict[Cause, tuple[frozenset[object], tuple[float, bytes] | None]]
 
     def _doubtful(self) -> list[Cause]:
         """Causes that may be exchanged or removed."""
@@ -100,14 +101,38 @@ class Moves(Proposals):
         """Exchange a cause for the best one in its place, or remove it."""
         rest = [c for c in self.causes if c is not cause]
         now, alone = self.score(self.causes), self.score(rest)
-        found = self.proposals(self.causes, own=cause)
-        for x in [x for x in found if x.cause is not cause][:2]:
-            near = alone + x.worth > now - self.prior.cause
-            if near and self._take(self._with_shapes_refitted(rest, x.cause)):
+        found = [x for x in self.proposals(self.causes, own=cause) if x.cause != cause]
+        near = [x for x in found[:2] if alone + x.worth > now - self.prior.cause]
+        for x in near:
+            if self._take(self._with_shapes_refitted(rest, x.cause)):
                 return True
         if alone > now:
             self.causes = rest
-        return bool(alone > now)
+            return True
+        settings = self._settings if near else None
+        self._checked[cause] = self._neighbours(cause), settings
+        return False
+
+    def _is_checked(self, cause: Cause) -> bool:
+        """Whether no other cause can take the place of one, as far as is known.
+
+        That depends on the causes at its joints. Noise and the error of the file decide
+        between causes that explain nearly the same.
+        """
+        causes, settings = self._checked.get(cause, (None, None))
+        same = causes == self._neighbours(cause)
+        return same and settings in (None, self._settings)
+
+    def _neighbours(self, cause: Cause) -> frozenset[object]:
+        """Causes at a cause's joints, and which ones may take its place."""
+        own = set(cause.place[1])
+        near = (c for c in self.causes if own.intersection(c.place[1]))
+        return frozenset([self.library_only, *near])
+
+    @property
+    def _settings(self) -> tuple[float, bytes]:
+        """The error of the file, and the noise."""
+        return self.file_error, self.evidence.noise.tobytes()
 
     def _with_shapes_refitted(self, causes: list[Cause], new: Cause) -> list[Cause]:
         """Some causes and a new one, to which the shapes of its neighbours adapt.

@@ -45,9 +45,9 @@ class Search(Moves):
     ) -> None:
         super().__init__(gap, learn, without)
         self.causes, self._certain, self._progress = [], [], silent
+        self._checked = {}
         self.beliefs: list[Belief] = []
         self.whole: list[Cause] = []
-        self._checked: dict[Cause, frozenset[object]] = {}
         self._file_errors = self.prior.file_errors  # that are tried
 
     @property
@@ -194,21 +194,10 @@ class Search(Moves):
             while self._add():
                 changed = True
             for cause in self._doubtful():
-                state = self._neighbours(cause)
-                if cause in self.causes and self._checked.get(cause) != state:
-                    if self._exchange(cause):
-                        changed = True
-                    else:
-                        self._checked[cause] = self._neighbours(cause)
+                if cause in self.causes and not self._is_checked(cause):
+                    changed |= self._exchange(cause)
             if not (changed or self._fit_file_error() or self._exchange_file_error()):
                 break
-
-    def _neighbours(self, cause: Cause) -> frozenset[object]:
-        """What an exchange of a cause depends on, above all causes at its joints."""
-        own = set(cause.place[1])
-        near = (c for c in self.causes if own.intersection(c.place[1]))
-        settings = self.library_only, self.file_error, self.evidence.noise.tobytes()
-        return frozenset([*settings, *near])
 
     def _fit_file_error(self) -> bool:
         """Set the most probable error of the links' numbers; whether it has changed."""
