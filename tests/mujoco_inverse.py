@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.robot.actuators import passive_motors
+from hybrid.robot.actuators import motors_of
 from hybrid.robot.mjcf import joint_names, start
 from hybrid.robot.mujoco_model import compile_file
 from hybrid.signals import Motion
@@ -34,7 +34,7 @@ def file_inverse_dynamics(
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
     data, names = mujoco.MjData(model), joint_names(model)
     index = [names.index(name) for name in joints]
-    motors = list(passive_motors(model))
+    motors = list(motors_of(model, driven=False))
     places, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
     data.qpos[:] = start(model, held)
     torque = np.empty_like(motion.q)

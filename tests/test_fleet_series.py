@@ -13,15 +13,15 @@ DAYS = 739000.0 + 7.0 * np.arange(WEEKS)
 LATE = np.arange(WEEKS) >= 13
 
 
-def series(y, std=0.1, warm=np.nan, load=1.0, baseline=1.0) -> Series:
+def series(y, std=0.1, warm=np.nan, load=1.0, baseline=1.0, dated=True) -> Series:
     """A series of values (arms, T); all else a number, or of the same shape."""
     full = [np.broadcast_to(x, y.shape) for x in (std, warm, load, baseline)]
     names = "std", "temperature", "load", "baseline"
     return Series([
         {
             "arm": f"a{a:02d}", "period": f"{t:02d}", "change": y[a, t],
-            "day": date.fromordinal(int(DAYS[t])).isoformat(), "joint": "elbow",
-            "parameter": "coulomb.level", "unit": "N·m",
+            "day": date.fromordinal(int(DAYS[t])).isoformat() if dated else "",
+            "joint": "elbow", "parameter": "coulomb.level", "unit": "N·m",
             **{name: x[a, t] for name, x in zip(names, full, strict=True)},
         }
         for a, t in np.ndindex(*y.shape)
@@ -93,6 +93,13 @@ def test_a_median_of_arms_is_as_sure_as_the_law_of_medians_says(limit, said):
     assert len(found) == said
     day = date.fromordinal(int(DAYS[13])).isoformat()
     assert all(f"+0.1 N·m on {day}" in x for x in found)
+
+
+def test_a_common_step_in_logs_without_dates_is_told_by_the_log():
+    known = series(np.tile(0.1 * LATE, (25, 1)), dated=False)
+    known.remove_common()
+    (said,) = known.shared(5.0)
+    assert "+0.1 N·m on log 13;" in said
 
 
 def test_a_common_trend_is_told_by_the_month():

@@ -209,7 +209,13 @@ class Series:
 
 
 def _sentence(x: Change, unit: str) -> str:
-    when = date.fromordinal(max(1, int(x.day))).isoformat()
     if x.kind == "trend":
-        return f"{MONTH * x.size:+.3g} {unit} a month since {when}"
-    return f"{x.size:+.3g} {unit} on {when}"
+        return f"{MONTH * x.size:+.3g} {unit} a month since {day_text(x.day)}"
+    return f"{x.size:+.3g} {unit} on {day_text(x.day)}"
+
+
+def day_text(ordinal: float) -> str:
+    """ISO date of an ordinal; the number of the log if dates are not known."""
+    if ordinal < 366:
+        return f"log {ordinal:.0f}"
+    return date.fromordinal(int(ordinal)).isoformat()

@@ -14,7 +14,7 @@ from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.joint_fields import soft_springs, split_effects
 from hybrid.plant.laws import Laws
-from hybrid.robot.actuators import passive_motors
+from hybrid.robot.actuators import motors_of
 from hybrid.robot.mjcf import knee_slope, sum_tendons
 from hybrid.robot.robot import Robot
 
@@ -88,7 +88,8 @@ class Installed:
         sums = sum_tendons(model)
         single = [t for t, own, _ in sums if len(own) == 1 and own[0] in joints]
         model.tendon_frictionloss[single] = 0.0
-        motors = [a for a, joint, _ in passive_motors(model) if joint in joints]
+        passive = motors_of(model, driven=False)
+        motors = [a for a, joint, _ in passive if joint in joints]
         for size in (0, 3, 4):  # of cogging, and of bristles' friction
             model.actuator_biasprm[motors, size] = 0.0
         model.actuator_dynprm[motors, 6] = 0.0  # damping of bristles

@@ -4,7 +4,6 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import date
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from markupsafe import Markup
 from hybrid.files import atomic_path
 from hybrid.fleets import Fleet, State
 from hybrid.fleets.changes import MONTH, Change
+from hybrid.fleets.series import day_text
 from hybrid.names import figure_text, file_stems
 from hybrid.report.output import Section, write_page
 from hybrid.report.style import BLUE, GREY, PALE, RED, Figure, new_figure, panels
@@ -36,26 +36,19 @@ _MOST = 6.0  # standard deviations between arms, of the darkest colour
 _NEVER = 36500  # days
 
 
-def _day(ordinal: float) -> str:
-    """ISO date of an ordinal; the number of the log if dates are not known."""
-    if ordinal < 366:
-        return f"log {ordinal:.0f}"
-    return date.fromordinal(int(ordinal)).isoformat()
-
-
 def change_sentence(state: State, change: Change) -> str:
     """Size of a change with its interval, its date, and the date of the alarm."""
     half = HALF_WIDTH * change.std
     if change.kind == "trend":
         size = (
             f"{MONTH * change.size:+.3g} ± {MONTH * half:.2g} {state.unit} a month "
-            f"since {_day(change.day)}"
+            f"since {day_text(change.day)}"
         )
     else:
-        size = f"{change.size:+.3g} ± {half:.2g} {state.unit} on {_day(change.day)}"
+        size = f"{change.size:+.3g} ± {half:.2g} {state.unit} on {day_text(change.day)}"
     if change.latest > change.earliest:
-        size += f" ({_day(change.earliest)} to {_day(change.latest)})"
-    return f"{size}, known {_day(change.alarm)}"
+        size += f" ({day_text(change.earliest)} to {day_text(change.latest)})"
+    return f"{size}, known {day_text(change.alarm)}"
 
 
 def forecast_text(state: State) -> str:
@@ -68,8 +61,8 @@ def forecast_text(state: State) -> str:
     if not state.changes or not median < _NEVER:
         return "not foreseen"
     last = state.days[-1]
-    end = _day(last + late) if late < _NEVER else "never"
-    return f"{_day(last + median)} ({_day(last + early)} to {end})"
+    end = day_text(last + late) if late < _NEVER else "never"
+    return f"{day_text(last + median)} ({day_text(last + early)} to {end})"
 
 
 def alarms_table(fleet: Fleet) -> Table:
@@ -197,7 +190,7 @@ def timeline_figure(states: Sequence[State]) -> Figure:
     """Draw parameters over time, with their changes and limits."""
     start = min(float(x.days[0]) for x in states)
     titles = [f"{x.arm}: {x.joint}, {x.parameter.replace('_', ' ')}" for x in states]
-    label = f"days since {_day(start)}"
+    label = f"days since {day_text(start)}"
     figure, cells = panels(titles, height=1.35, label=label, size=8)
     for (axes,), x in zip(cells, states, strict=True):
         days = x.days - start

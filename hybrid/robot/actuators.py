@@ -9,31 +9,27 @@ import numpy as np
 _BALL = 1  # mjtJoint; joints of higher types have one axis
 
 
-def drives_of(model: Any) -> Iterator[tuple[int, int, float]]:
-    """Number, joint and gear of each actuator with a control input, at a joint."""
-    return (x for x in _on_joints(model) if model.actuator_ctrlnum[x[0]])
+def motors_of(model: Any, *, driven: bool = True) -> Iterator[tuple[int, int, float]]:
+    """Number, joint and gear of each actuator at a joint.
 
-
-def passive_motors(model: Any) -> Iterator[tuple[int, int, float]]:
-    """Number, joint and gear of each motor without control input.
-
-    Such motors model cogging and friction (LuGre).
+    They are the drives, which have a control input; or not ``driven``: motors without
+    one model cogging and friction (LuGre).
     """
-    return (x for x in _on_joints(model) if not model.actuator_ctrlnum[x[0]])
-
-
-def _on_joints(model: Any) -> Iterator[tuple[int, int, float]]:
     at = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     for a in range(model.nactuator):
         joint = int(model.actuator_trnid[a, 0])
-        if int(model.actuator_trntype[a]) in at and model.jnt_type[joint] > _BALL:
+        if (
+            int(model.actuator_trntype[a]) in at
+            and model.jnt_type[joint] > _BALL
+            and bool(model.actuator_ctrlnum[a]) == driven
+        ):
             yield a, joint, float(model.actuator_gear[a, 0])
 
 
 def ripples(model: Any, index: list[int]) -> np.ndarray:
     """Ripples, shape (R, 4), as in :class:`~hybrid.robot.robot.Robot`."""
     found = []
-    for a, joint, gear in passive_motors(model):
+    for a, joint, gear in motors_of(model, driven=False):
         size, k, phase = model.actuator_biasprm[a, :3]
         if joint in index and size:
             sine, cosine = -gear * size * np.array([np.cos(phase), np.sin(phase)])
@@ -41,26 +37,13 @@ def ripples(model: Any, index: list[int]) -> np.ndarray:
     return np.array(found).reshape(-1, 4)
 
 
-def bristles(model: Any, index: list[int]) -> np.ndarray:
-    """LuGre friction of passive motors, shape (B, 4).
+def bristles(model: Any, index: list[int], *, driven: bool = False) -> np.ndarray:
+    """LuGre friction of motors, of drives or else of passive ones, shape (S, 5).
 
-    Returns:
-        Joint, sliding friction [N·m], static less sliding friction [N·m], and Stribeck
-        speed [rad/s].
+    Columns are those of :attr:`.Robot.bristle`.
     """
-    return _bristles(model, index, passive_motors(model))[:, :4]
-
-
-def servo_bristles(model: Any, index: list[int]) -> np.ndarray:
-    """LuGre friction of motors with control input, as in :class:`Robot`, (S, 5)."""
-    return _bristles(model, index, drives_of(model))
-
-
-def _bristles(
-    model: Any, index: list[int], motors: Iterator[tuple[int, int, float]]
-) -> np.ndarray:
     found = []
-    for a, joint, gear in motors:
+    for a, joint, gear in motors_of(model, driven=driven):
         if model.actuator_biastype[a] != mujoco.mjtBias.mjBIAS_DCMOTOR:
             continue
         level, static, speed = model.actuator_biasprm[a, 3:6]
@@ -75,7 +58,7 @@ def _bristles(
 def latency(model: Any) -> np.ndarray:
     """Largest delay of a control input at each joint, [s]."""
     late = np.zeros(model.njnt)
-    for a, joint, _ in drives_of(model):
+    for a, joint, _ in motors_of(model):
         late[joint] = max(late[joint], model.actuator_delay[a])
     return late
 
@@ -83,7 +66,7 @@ def latency(model: Any) -> np.ndarray:
 def through_gears(model: Any, name: str) -> np.ndarray:
     """Armature or damping of the actuators at each dof, shape (nv,)."""
     values = np.zeros(model.nv)
-    for a, joint, gear in drives_of(model):
+    for a, joint, gear in motors_of(model):
         own = getattr(model, f"actuator_{name}")[a]
         values[model.jnt_dofadr[joint]] += gear**2 * own
     return values
@@ -94,7 +77,7 @@ def torque_limit(model: Any) -> np.ndarray:
     limit = np.full(model.njnt, np.inf)
     for j in np.flatnonzero(model.jnt_actfrclimited):
         limit[j] = np.abs(model.jnt_actfrcrange[j]).max()
-    for a, joint, gear in drives_of(model):
+    for a, joint, gear in motors_of(model):
         plain = (
             model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
@@ -129,7 +112,7 @@ def servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
     position. The gains of all kinds at one joint, a PD controller, are added.
     """
     kp, kd = np.zeros((2, model.njnt))
-    for a, joint, gear in drives_of(model):
+    for a, joint, gear in motors_of(model):
         if _positions_motor(model, a):
             kp[joint] += gear**2 * model.actuator_gainprm[a, 4]
             kd[joint] += gear**2 * model.actuator_gainprm[a, 6]

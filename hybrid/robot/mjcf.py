@@ -17,7 +17,6 @@ from hybrid.robot.actuators import (
     bristles,
     latency,
     ripples,
-    servo_bristles,
     servo_gains,
     through_gears,
     torque_limit,
@@ -75,7 +74,7 @@ def fields_of_mujoco(
         "ripple": ripples(model, index),
         "falling": falling[(falling[:, 1:] > 0).all(axis=1)],
         "coupled": _coupled(model, index),
-        "bristle": servo_bristles(model, index),
+        "bristle": bristles(model, index, driven=True),
         "latency": latency(model)[index],
     }
 
@@ -108,7 +107,7 @@ def _passive(model: Any, index: list[int]) -> dict[str, Any]:
         if len(own) == 1:
             dof = model.jnt_dofadr[own[0]]
             other[dof] += dry * ratio * model.tendon_frictionloss[t]
-    for j, sliding, _, _ in bristles(model, index):
+    for j, sliding, *_ in bristles(model, index):
         other[dofs[int(j)]] += sliding
     return {
         "damping": damper * damping[dofs],

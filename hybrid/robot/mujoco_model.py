@@ -1,6 +1,7 @@
 """Compile a file by MuJoCo, also if meshes and pictures are missing."""
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -64,20 +65,27 @@ def compile_spec(spec: Any, where: str) -> tuple[Any, Mapping[int, str]]:
 
 def _checked(make: Callable[[], Any], where: str | Path) -> Any:
     """Call MuJoCo; its warnings and exceptions become an error."""
-    messages: list[str] = []
-    before = mujoco.get_mju_user_warning()
-    # Otherwise MuJoCo writes warnings to a file in the current folder.
-    mujoco.set_mju_user_warning(messages.append)
-    try:
-        model = make()
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        messages.append(str(error))
-    finally:
-        mujoco.set_mju_user_warning(before)
+    with mujoco_warnings() as messages:
+        try:
+            model = make()
+        except (ValueError, OSError, mujoco.FatalError) as error:
+            messages.append(str(error))
     if messages:
         reason = printable(" ".join(" ".join(messages).split()))
         raise RobotError(f"{where}: not a readable MJCF ({reason})")
     return model
+
+
+@contextmanager
+def mujoco_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which it would write to a file in this folder."""
+    messages: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(messages.append)
+    try:
+        yield messages
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _replace_missing_files(spec: Any) -> Iterator[tuple[str, str]]:

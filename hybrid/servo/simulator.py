@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot import Robot
+from hybrid.robot.mujoco_model import mujoco_warnings
 from hybrid.servo.drive import NAMES, Drive
 from hybrid.servo.model import (
     bristles,
@@ -185,7 +185,7 @@ def rolled(runs: Sequence[Run]) -> Array:
     kinds: dict[tuple[bool, bytes], list[int]] = {}
     for k, x in enumerate(runs):
         kinds.setdefault((x.has(_STEPPED), x.drive.plays.tobytes()), []).append(k)
-    with _quiet():  # some servos are unstable
+    with mujoco_warnings():  # some servos are unstable
         for (stepped, _), own in kinds.items():
             some = [runs[k] for k in own]
             ends = [x.control[-1:].repeat(steps - len(x.control), 0) for x in some]
@@ -271,19 +271,6 @@ class _FrictionLevels:
         for model, k in zip(self._moving.values(), self._moving, strict=True):
             model.actuator_biasprm[:, 3:5] = both[k]
             model.actuator_dynprm[:, 5] = self._bristle[k]
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Suppress the warnings of MuJoCo, and its log file."""
-    import mujoco
-
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def converged(

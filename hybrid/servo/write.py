@@ -12,7 +12,7 @@ from hybrid.arrays import Array, Mask
 from hybrid.errors import RobotError
 from hybrid.files import atomic_path
 from hybrid.robot import Robot
-from hybrid.robot.actuators import drives_of
+from hybrid.robot.actuators import motors_of
 from hybrid.robot.build import spec_text
 from hybrid.robot.edit.change import Edit
 from hybrid.robot.edit.document import Document, element, joint_tag, model_of
@@ -99,7 +99,7 @@ def _clips(model: Any, robot: Robot, drive: Drive) -> Array:
     """Positions of the log to which servos of the file clip commands, (n, 2), [rad]."""
     ends = np.tile([[-np.inf], [np.inf]], robot.size)
     names = joint_names(model)
-    for a, joint, gear in drives_of(model):
+    for a, joint, gear in motors_of(model):
         # The control of other actuators is a torque or a speed.
         servo = (
             model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_DCMOTOR

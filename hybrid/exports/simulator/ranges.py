@@ -19,6 +19,7 @@ _UNITS = {
     "cubic": "N·m·s³/rad³", "frictionloss": "N·m", "stiffness": "N·m/rad",
     "preload": "N·m",
 }  # fmt: skip
+_NAMES = (*_UNITS, *INERTIAL_NAMES)
 
 
 @dataclass(frozen=True)
@@ -88,27 +89,24 @@ def ranges(
     drawn = sample(model, draws, seed)
     motions = (usual_motion(model),)
     nominal = _numbers(fields_of_model(model, motions, kind))
-    values = np.array(
-        [list(_numbers(fields_of_model(x, motions, kind)).values()) for x in drawn]
-    )
-    links = dict(zip(INERTIAL_NAMES, INERTIAL_UNITS, strict=True))
-    at = {x: k for k, x in enumerate(model.robot.joints)}
-    every = np.array([
-        links.get(name) or model.robot.chain.unit_at([at[joint]], _UNITS[name])
-        for joint, name in nominal
+    values = np.array([_numbers(fields_of_model(x, motions, kind)) for x in drawn])
+    joints, unit_at = model.robot.joints, model.robot.chain.unit_at
+    units = np.array([
+        [*(unit_at([j], x) for x in _UNITS.values()), *INERTIAL_UNITS]
+        for j in range(len(joints))
     ])  # fmt: skip
-    highest = np.abs(values).max(axis=0)
-    size = np.array([highest[every == unit].max() for unit in every])
+    highest, size = np.abs(values).max(axis=0), np.empty_like(nominal)
+    for unit in np.unique(units):
+        size[units == unit] = highest[units == unit].max()
     varies = np.ptp(values, axis=0) > _ROUNDING * size
-    keys = [key for key, own in zip(nominal, varies, strict=True) if own]
     values = values[:, varies]
     tail = 100 * (1 - _LEVEL) / 2
     low, high = np.percentile(values, [tail, 100 - tail], axis=0)
     return Ranges(
-        joints=model.robot.joints,
-        keys=tuple(keys),
-        units=tuple(every[varies].tolist()),
-        nominal=np.array([nominal[key] for key in keys]),
+        joints=joints,
+        keys=tuple((joints[j], _NAMES[k]) for j, k in np.argwhere(varies)),
+        units=tuple(units[varies].tolist()),
+        nominal=nominal[varies],
         low=low,
         high=high,
         correlation=np.atleast_2d(np.corrcoef(values, rowvar=False)),
@@ -116,16 +114,15 @@ def ranges(
     )
 
 
-def _numbers(robot: Robot) -> dict[tuple[str, str], float]:
-    """Parameters of a simulator by joint and name."""
-    found: dict[tuple[str, str], float] = {}
-    table = {name: getattr(robot, name, None) for name in _UNITS}
-    table["armature"] = robot.chain.armature
-    table["preload"] = -robot.stiffness * robot.springref
-    for j, joint in enumerate(robot.joints):
-        for name, values in table.items():
-            assert values is not None
-            found[joint, name] = float(values[j])
-        for name, x in zip(INERTIAL_NAMES, robot.chain.inertial[j], strict=True):
-            found[joint, name] = float(x)
-    return found
+def joint_numbers(robot: Robot) -> dict[str, Array]:
+    """Rotor, friction and spring of every joint by name, shape (n,) each."""
+    own = {
+        "armature": robot.chain.armature,
+        "preload": -robot.stiffness * robot.springref,
+    }
+    return {x: own[x] if x in own else getattr(robot, x) for x in _UNITS}
+
+
+def _numbers(robot: Robot) -> Array:
+    """All numbers of a simulator, a row for each joint and its link, shape (n, 17)."""
+    return np.column_stack([*joint_numbers(robot).values(), robot.chain.inertial])

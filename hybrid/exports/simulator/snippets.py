@@ -21,7 +21,7 @@ from hybrid.exports.simulator.model import (
     usual_motion,
 )
 from hybrid.exports.simulator.plan import drive_changes
-from hybrid.exports.simulator.ranges import Ranges, ranges
+from hybrid.exports.simulator.ranges import Ranges, joint_numbers, ranges
 from hybrid.exports.simulator.simulator import effect_note
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.robot import Robot
@@ -140,16 +140,13 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> tuple[str, ...
     nominal = fields_of_model(model, (usual_motion(model),))
     # Isaac Lab has one dry and one viscous friction, as URDF has.
     plain = ranges(model, kind="urdf", draws=_DRAWS)
-    names = "damping", "quadratic", "cubic", "frictionloss"
-    values = {x: getattr(nominal, x) for x in names}
-    values["armature"] = nominal.chain.armature
     name = model.robot.name
     texts = {
         f"{stem}_ranges.yaml": yaml.safe_dump(
             {"robot": name, **found.as_dict()}, sort_keys=False, allow_unicode=True
         ),
         f"{stem}_isaaclab_events.py": isaac_events(name, plain),
-        f"{stem}_mjx.py": mjx(name, found, values),
+        f"{stem}_mjx.py": mjx(name, found, joint_numbers(nominal)),
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")

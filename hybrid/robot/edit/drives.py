@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from hybrid.robot.actuators import drives_of
+from hybrid.robot.actuators import motors_of
 from hybrid.robot.edit.change import Actuator
 from hybrid.robot.edit.document import Document, Tag
 from hybrid.robot.mjcf import joint_names
@@ -34,7 +34,7 @@ def edit_drives(
     numbers, notes = joint_names(model), []
     for j, new in drives.items():
         joint = numbers.index(joints[j])
-        own = [(a, gear) for a, at, gear in drives_of(model) if at == joint]
+        own = [(a, gear) for a, at, gear in motors_of(model) if at == joint]
         found = actuator_tags(document, joints[j])
         if len(own) != len(found) or not own:
             notes.append(f"drive of {joints[j]}, which has no actuator in the file")

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.robot.actuators import bristles, passive_motors
+from hybrid.robot.actuators import bristles, motors_of
 from hybrid.robot.edit.document import Document, Tag, element, joint_tag, model_of
 from hybrid.robot.mjcf import joint_names
 from hybrid.robot.robot import Robot
@@ -120,7 +120,7 @@ def _set_keyframe_bristles(document: Document, model: Any, new: Robot) -> None:
     names = joint_names(model)
     removed = {
         int(model.actuator_actadr[a])
-        for a, joint, _ in passive_motors(model)
+        for a, joint, _ in motors_of(model, driven=False)
         if names[joint] in new.joints
     }
     for tag in document.find("keyframe", "key"):
@@ -139,7 +139,7 @@ def replaced_friction(model: Any, old: Robot, new: Robot) -> Array:
     """Sliding friction of motors that are replaced, shape (n,), [N·m]."""
     index, found = [joint_names(model).index(x) for x in new.joints], np.zeros(new.size)
     if _motors_differ(old, new) or (old.frictionloss != new.frictionloss).any():
-        for j, level, _, _ in bristles(model, index):
+        for j, level, *_ in bristles(model, index):
             found[int(j)] += level
     return found
 
