@@ -41,8 +41,8 @@ _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
 _UNIT = re.compile(r"\s*[\[(]([^\[\]()]+)[\])]$")
 _SUFFIX = re.compile(  # a stamp's sec is one of its fields, not its unit
     r"(?:_|(?<!stamp)(\s*/\s*|\s+in\s+))"
-    r"(rad_s|rad_per_s|deg_s|deg_per_s|rad|deg|degrees|rpm|Nm|mNm|N_m|mA|A|degC|C|[mun]s|"
-    r"sec|seconds|nanoseconds|milliseconds|microseconds|ns|nsec|msec|usec|"
+    r"(rad_s|rad_per_s|deg_s|deg_per_s|m?rad|deg|degrees|rpm|[mk]?N_?[cm]?m|mA|A|degC|C|"
+    r"[mun]s|sec|seconds|nanoseconds|milliseconds|microseconds|ns|nsec|msec|usec|"
     r"(?(1)(?:rad/s|deg/s|°/s|°C?|N[·* ]m|m/s|m|s)))$"
 )
 _NUMBER = re.compile(r"\[?(\d+)\]?")
