@@ -37,6 +37,7 @@ from hybrid.report.style import (
 )
 from hybrid.report.table import Table
 from hybrid.servo import ServoFit
+from hybrid.shown import counted
 
 _HEIGHT = 3.2  # inches
 
@@ -139,7 +140,7 @@ def _design_table(design: Design) -> Table:
         (x["unknown"], f"{x['standard_error']:.3g}") for x in _design_rows(design)
     )
     caption = (
-        f"{len(design.trajectories)} motions of {design.robot.name}, "
+        f"{counted(len(design.trajectories), 'motion')} of {design.robot.name}, "
         f"condition {design.condition:.3g}"
     )
     return Table(("unknown", "standard error to expect"), lines, caption)

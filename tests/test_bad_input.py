@@ -172,7 +172,10 @@ def test_missing_and_extra_joints_are_listed(tmp_path, suffix, names, message):
 
 
 def test_another_number_of_numbered_joints_is_listed(tmp_path):
-    assert "missing joints: wrist" in refused(tmp_path / "a.csv", GOOD, joints=ARM)
+    told = refused(tmp_path / "a.csv", GOOD, joints=ARM)
+    assert "missing joints: wrist" in told and told.endswith(
+        "an arm without them: --joints"
+    )
     message = refused(tmp_path / "b.csv", GOOD, joints=("hinge",))
     assert "unknown joints: number 2; valid are hinge" in message
 

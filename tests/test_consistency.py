@@ -23,9 +23,14 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import IdentificationError
+from hybrid.exports import export
+from hybrid.identification import identify
 from hybrid.identification.consistency import physically_consistent
+from hybrid.identification.preparation import motions_from_logs
+from hybrid.plant import simulate
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.problem import build_problem
+from hybrid.report.fit import effects_table
 from hybrid.robot import Robot
 from hybrid.robot.spatial import inertial_about
 from hybrid.signals import Motion
@@ -259,23 +264,70 @@ def test_the_unknowns_are_those_of_the_links_and_gains_handed_out():
     problem = problem_of("coman_like")
     _, _, A, b = experiment(problem, 1, noise=0.2)
     found = physically_consistent(problem, A, b)
-    links = problem.base.mapping[:, : found.inertial.size] @ found.inertial.ravel()
+    # The rotor of the first joint is dropped: it is beside the first link.
+    assert "armature.inertia[base]" in problem.base.dropped
+    first = found.inertial.size
+    columns = [*range(first), *found.beside]
+    links = [*found.inertial.ravel(), *found.beside.values()]
+    links = problem.base.mapping[:, columns] @ links
     size = np.abs(links).max()
     np.testing.assert_allclose(
         found.theta[problem.rigid], links[problem.rigid], rtol=0, atol=1e-14 * size
     )
-    # The rotor of the first joint is dropped: its inertia must be in the first link.
-    assert "armature.inertia[base]" in problem.base.dropped
     gains = np.zeros((4, problem.chain.size))
     motion = some_motion(problem.chain, np.random.default_rng(5), 50)
     kept = {c: u for u, c in enumerate(problem.base.kept)}
-    first = found.inertial.size
     for k in range(gains.size):
         if first + k in kept:
             gains.flat[k] = found.theta[kept[first + k]]
+        gains.flat[k] += found.beside.get(first + k, 0.0)
     tau = torque_of(problem, found.inertial, gains, motion)
     residual = rms(crossed(problem, replace(motion, tau=tau)), found.theta)
     assert residual.max() < 1e-6 * np.abs(tau).max()
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_rotor_heavier_than_its_link_leaves_the_links_physical(name):
+    """It cannot be told from its link, which has no room for it."""
+    problem = problem_of(name)
+    rng = np.random.default_rng(0)
+    inertial, motion = (
+        some_links(problem.chain, rng),
+        some_motion(problem.chain, rng, 600),
+    )
+    gains = some_gains(inertial, rng)
+    gains[0, 1] += 20.0 * inertial[1, [4, 6, 9]].max()
+    joint = problem.chain.joints[1]
+    assert f"armature.inertia[{joint}]" in problem.base.dropped
+    tau = torque_of(problem, inertial, gains, motion)
+    products = crossed(problem, replace(motion, tau=tau))
+    weight = np.diag(1.0 / (tau**2).mean(axis=0))
+    found = physically_consistent(problem, *products.normal(weight))
+    assert found.converged and found.loss < 1e-10
+    assert is_consistent(found.inertial).all()
+
+
+def test_the_model_and_the_simulator_of_an_arm_have_its_heavy_rotor(tmp_path):
+    robot = Robot.load(MODELS / "coman_like.xml")
+    logs = simulate(robot, [Armature((1,), {"inertia": 1.0})], trajectories=4)
+    fit = identify(robot, logs[:3], stages=["rigid"], consistent=True)
+    model = fit.model
+    assert not any("consistent links raise" in x for x in fit.warnings)
+    assert is_consistent(model.inertial).all()
+    (rotor,) = (e for e in model.effects if e.id == "armature" and e.joints == (1,))
+    assert rotor.values["inertia"] > 0.8
+    # How much of it is the link's no log tells: it is none of the effects found.
+    rows = [row[:2] for row in effects_table(fit).rows]
+    assert (robot.joints[1], "armature") not in rows
+    assert (robot.joints[2], "armature") in rows
+    # The base parameters and the links, each with the effects, are the same model.
+    (motion,), _ = motions_from_logs(logs[3:], model.cutoff)
+    tau = model.predict(motion)
+    other = replace(model, inertial=None).predict(motion)
+    np.testing.assert_allclose(tau, other, rtol=0, atol=1e-6 * np.abs(tau).max())
+    export(model, tmp_path, format="mjcf")
+    written = Robot.load(next(tmp_path.glob("*.xml")))
+    assert written.chain.armature[1] == pytest.approx(rotor.values["inertia"])
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -18,7 +18,7 @@ from hybrid.excitation.path import Trajectory
 from hybrid.report.excitation import postures_figure
 from hybrid.robot import Robot
 
-PLANAR = MODELS / "planar.xml"
+PLANAR, SCARA = MODELS / "planar.xml", MODELS / "scara.xml"
 QUICK = "--order 3 --duration 4 --starts 1"
 
 
@@ -112,6 +112,7 @@ def test_an_arm_without_geometry_is_drawn_as_lines():
         ("--order 1", "order is 1"),
         ("--effects elasticity", "no law of one joint's state"),
         ("--criterion best", "condition"),
+        (f"--robot {SCARA} --duration 0.03", "tell 10 of 11 parameters; valid are lon"),
     ],
 )
 def test_a_request_that_cannot_be_met_is_refused_in_one_line(

@@ -344,6 +344,8 @@ def test_the_command_line_writes_the_file_it_is_given(tmp_path, monkeypatch):
     assert bare.ngeom == 0 and own.ngeom > 5
     np.testing.assert_array_equal(own.dof_frictionloss, [0.5, 0.0])
     assert (tmp_path / "own" / "planar.diff").stat().st_size > 0
+    named = [*given, "--robot", "planar", "--out", str(tmp_path / "named")]
+    assert main(["export", *named]) == 0
     missing = [*given, "--robot", str(tmp_path / "no.xml")]
     assert main(["export", *missing, "--out", str(tmp_path / "x")]) == 2
 

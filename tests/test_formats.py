@@ -142,6 +142,58 @@ def test_brackets_hold_a_unit_or_a_joint(tmp_path):
     assert recording.q[0, 0] == 0.1
 
 
+@pytest.mark.parametrize(
+    "angle, torque", [("[°]", "[Nmm]"), ("(°)", "(N-mm)"), ("[deg]", "[mNm]")]
+)
+@pytest.mark.parametrize(
+    "pattern", ["{c} {j} {u}", "{j}.{c} {u}", "{j} {c}{u}", "{c}_{n} {u}"]
+)
+def test_a_unit_in_brackets_counts_wherever_the_joint_stands(pattern, angle, torque):
+    joints, table = ("elbow_joint", "wrist_joint"), {"t": [0.0, 0.1]}
+    for k, joint in enumerate(joints):
+        for channel, unit in (("position", angle), ("torque", torque)):
+            label = pattern.format(c=channel, j=joint, n=k + 1, u=unit)
+            table[label] = [90.0, 180.0]
+    log = recording_from_table(table, joints=joints)
+    np.testing.assert_allclose(log.q, np.radians([[90, 90], [180, 180]]))
+    np.testing.assert_allclose(log.tau, [[0.09, 0.09], [0.18, 0.18]])
+
+
+@pytest.mark.parametrize("unit, factor", [("Nmm", 1e-3), ("Ncm", 1e-2), ("N_m", 1.0)])
+@pytest.mark.parametrize("pattern", ["{j}_torque_{u}", "tau{n}_{u}", "tau_{j}_{u}"])
+def test_a_torque_may_end_in_its_unit(pattern, unit, factor):
+    joints, table = ("elbow_joint", "wrist_joint"), {"t": [0.0, 0.1]}
+    for k, joint in enumerate(joints):
+        table[f"{joint}_pos_mrad"] = [500.0, 1000.0]
+        table[pattern.format(j=joint, n=k + 1, u=unit)] = [1.0, 2.0]
+    log = recording_from_table(table, joints=joints)
+    np.testing.assert_allclose(log.tau[0], factor)
+    np.testing.assert_allclose(log.q[0], 0.5)
+
+
+def test_columns_that_end_in_an_unknown_word_are_refused_by_their_label():
+    table = {"t": [0.0, 0.1]}
+    for joint in ("elbow", "wrist"):
+        table |= {f"{joint}_position_counts": [0, 1], f"{joint}_torque": [0, 1]}
+    with pytest.raises(
+        RecordingError, match="q, as 'elbow_position_counts', are under"
+    ):
+        recording_from_table(table, joints=("elbow", "wrist"))
+
+
+@pytest.mark.parametrize("unit", ["%", "counts", "‰"])
+@pytest.mark.parametrize(
+    "pattern", ["tau_{j} [{u}]", "{j}.effort ({u})", "tau{n} [{u}]"]
+)
+def test_a_unit_that_nobody_knows_is_refused_and_not_taken_for_si(pattern, unit):
+    joints, table = ("elbow_joint", "wrist_joint"), {"t": [0.0, 0.1]}
+    for k, joint in enumerate(joints):
+        table[f"q_{joint}"] = [0.1, 0.2]
+        table[pattern.format(j=joint, n=k + 1, u=unit)] = [1.0, 2.0]
+    with pytest.raises(RecordingError, match=rf"is in {unit}; valid are N\*m and"):
+        recording_from_table(table, joints=joints)
+
+
 def test_the_only_joint_needs_no_number(tmp_path):
     path = text(
         tmp_path / "log.csv", ["t", "q", "tau"], np.arange(6.0).reshape(2, 3) / 10

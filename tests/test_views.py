@@ -174,5 +174,6 @@ def test_a_name_with_markup_in_it_stays_text():
 
 def test_motions_are_designed_for_a_robot_alone():
     found = design(Robot.load("planar"), starts=1)
+    assert repr(found).startswith("1 motion of planar, condition ")
     assert found.trajectories[0].family == Fourier(10, 0.05)
     assert found.observation.size == observe(found.robot.chain).size

@@ -2,7 +2,6 @@
 
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
-from pathlib import Path
 
 from hybrid.arrays import Array
 from hybrid.cli.shared import options
@@ -51,12 +50,9 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     options.add(parser, "--model", "--out")
     parser.add_argument("--format", required=True, choices=FORMATS)
-    parser.add_argument(
-        "--robot",
-        type=Path,
-        metavar="FILE",
-        help="robot file to write again (default: the model's, if it is beside it)",
-    )
+    words = "robot to write again, a file or a name (default: the model's file, if it "
+    words += "is beside it)"
+    options.add(parser, "--robot", required=False, help=words)
     options.add(parser, "--recordings", required=False)
     options.add(parser, "--map")
 

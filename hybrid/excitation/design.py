@@ -189,7 +189,7 @@ def design(
 
     Raises:
         ExcitationError: No motion within the limits was found; the message names the
-            limits and joints that prevent it.
+            limits and joints that prevent it. Or the motions leave parameters open.
     """
     if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
@@ -222,6 +222,12 @@ def design(
         found, worst = _one_by_one(program, trajectories, starts, rng)
     grams = tuple(_gram(observation, x, rate) for x in found)
     seen = np.asarray(sum(_gram(program.observation, x, rate) for x in found))
+    rank = np.linalg.matrix_rank(np.sum(grams, axis=0), hermitian=True)
+    if rank < observation.size:
+        raise ExcitationError(
+            f"the motions tell {rank} of {observation.size} parameters; valid are "
+            "longer motions, wider limits, or fewer effects"
+        )
     return Design(
         robot, observation, measure, found, grams, rate, measure.value(seen), worst
     )

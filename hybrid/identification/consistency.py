@@ -36,6 +36,7 @@ class Consistent:
 
     Attributes:
         inertial: Link parameters, every link physically consistent, shape (n, 10).
+        beside: Gains that cannot be told from links, by their column.
         theta: The unknowns that these links and the gains give, shape (p,).
         loss: Weighted squared residual above that of the unconstrained optimum, as a
             share of the weighted squared torque which that optimum explains.
@@ -43,6 +44,7 @@ class Consistent:
     """
 
     inertial: Array
+    beside: dict[int, float]
     theta: Array
     loss: float
     converged: bool
@@ -59,8 +61,9 @@ def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
     loss stays below four times the least loss: the true links are consistent, so they
     have at least that one.
 
-    Gains that were dropped from the unknowns are 0; the links include them (the
-    inertia of the first rotor is in Izz of the first link).
+    A gain that cannot be told from the links, as the inertia of the first rotors, is
+    beside them: with a heavy rotor in it, no link would be consistent. Other gains
+    that were dropped from the unknowns are 0.
 
     Raises:
         IdentificationError: The normal equations are zero or not finite, or the solver
@@ -72,11 +75,13 @@ def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
         )
     n = problem.chain.size
     unknowns = [u for u, column in enumerate(problem.base.kept) if column >= 10 * n]
-    gains = [problem.base.kept[u] for u in unknowns]
+    beside = _beside(problem, unknowns)
+    gains = [*(problem.base.kept[u] for u in unknowns), *beside]
     mapping = problem.base.mapping[:, [*range(10 * n), *gains]]
     frame, size = _frame(problem.chain, mapping, A)
     ones = np.concatenate([np.tile(stacked(np.eye(4)), n), np.zeros(len(gains))])
-    floor = np.concatenate([_MARGIN * ones[: 10 * n], problem.lower[unknowns]])
+    lower = [problem.lower[unknowns], np.zeros(len(beside))]
+    floor = np.concatenate([_MARGIN * ones[: 10 * n], *lower])
     K = mapping @ frame
     values, directions = eigh(K.T @ A @ K)
     curvature = values / values[-1]
@@ -96,7 +101,9 @@ def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
         theta = mapping @ links
         change = theta - best
         loss = max(float(change @ A @ change) / explained, 0.0)
-        return Consistent(links[: 10 * n].reshape(-1, 10), theta, loss, converged)
+        own = dict(zip(beside, links[len(links) - len(beside) :].tolist(), strict=True))
+        inertial = links[: 10 * n].reshape(-1, 10)
+        return Consistent(inertial, own, theta, loss, converged)
 
     least = solution(_WEAKEST_PULL)
     pull = least.loss
@@ -106,6 +113,21 @@ def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
             return found
         pull /= 4
     return least
+
+
+def _beside(problem: Problem, unknowns: list[int]) -> list[int]:
+    """Columns of gains of a joint, at least 0, that combine with links only."""
+    base, rigid = problem.base, 10 * problem.chain.size
+    return [
+        column
+        for column, (e, g) in enumerate(problem.columns, rigid)
+        if column not in base.kept
+        and base.mapping[:, column].any()
+        and not base.mapping[unknowns, column].any()
+        and problem.effects[e].scope == "joint"
+        and problem.effects[e].gains[g].lower >= 0
+        and not problem.effects[e].changes_signals
+    ]
 
 
 def _frame(chain: Chain, mapping: Array, A: Array) -> tuple[Array, Array]:

@@ -161,6 +161,7 @@ class Identification:
             weighted=replace(weighted, theta=found.theta),
             theta=theta,
             inertial=found.inertial,
+            beside=found.beside,
             corrected=None,
         )
         if before.remainder is not None:

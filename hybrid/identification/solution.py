@@ -1,7 +1,7 @@
 """The solution of the terms of an arm, with its held-out error."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,7 @@ class Solution:
         strength: Number of samples that the prior is worth.
         inertial: Physically consistent links that give these values, shape (n, 10),
             or None.
+        beside: Gains that are beside these links, by their column.
         remainder: Learned remainder of the torque, or None.
         corrected: Held-out squares less a remainder, shape (B, n), [N²·m²], or None.
     """
@@ -37,6 +38,7 @@ class Solution:
     theta: Array
     strength: float = 0.0
     inertial: Array | None = None
+    beside: Mapping[int, float] = field(default_factory=dict)
     remainder: ArmRemainder | None = None
     corrected: Array | None = None
 
@@ -85,7 +87,13 @@ class Solution:
 
     def model(self, robot: Robot, *, sure: bool = True) -> DynamicModel:
         """The terms as a model; gains have standard deviations if it is ``sure``."""
-        base, effects = self.problem.fitted(self.weighted.theta)
+        theta, mapping = self.weighted.theta, self.problem.base.mapping
+        theta = theta - mapping[:, [*self.beside]] @ [*self.beside.values()]
+        base, fitted = self.problem.fitted(theta)
+        effects = list(fitted)
+        for column, value in self.beside.items():
+            e, g = self.problem.columns[column - 10 * robot.size]
+            effects[e] = effects[e].at({effects[e].gains[g].name: value})
         data = self.products.data
         std: list[dict[str, float]] = [{} for _ in effects]
         for unknown, e, g in self.problem.gains if sure else ():

@@ -224,9 +224,10 @@ class Assignment:
             good = [""]
         if len(good) != 1:
             raise self._error(
-                f"columns of {columns[0].channel} under {listed([*groups])}"
-                f", {len(good) or 'none'} of them for the joints; valid is --map "
-                "FILE.yaml with topic: and the beginning of the right ones"
+                f"columns of {columns[0].channel}, as {self._label(columns[0])!r}, are "
+                f"under {listed([*groups])}, {len(good) or 'none'} of them for the "
+                "joints; valid is --map FILE.yaml with topic: and the beginning of the "
+                "right ones, or which column is what"
             )
         for c in columns:
             if c.space != good[0]:

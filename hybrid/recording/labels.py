@@ -41,12 +41,13 @@ _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
 _UNIT = re.compile(r"\s*[\[(]([^\[\]()]+)[\])]$")
 _SUFFIX = re.compile(  # a stamp's sec is one of its fields, not its unit
     r"(?:_|(?<!stamp)(\s*/\s*|\s+in\s+))"
-    r"(rad_s|rad_per_s|deg_s|deg_per_s|rad|deg|degrees|rpm|Nm|mNm|N_m|mA|A|degC|C|[mun]s|"
-    r"sec|seconds|nanoseconds|milliseconds|microseconds|ns|nsec|msec|usec|"
+    r"(rad_s|rad_per_s|deg_s|deg_per_s|m?rad|deg|degrees|rpm|[mk]?N_?[cm]?m|mA|A|degC|C|"
+    r"[mun]s|sec|seconds|nanoseconds|milliseconds|microseconds|ns|nsec|msec|usec|"
     r"(?(1)(?:rad/s|deg/s|°/s|°C?|N[·* ]m|m/s|m|s)))$"
 )
 _NUMBER = re.compile(r"\[?(\d+)\]?")
 _SEPARATORS = " _./:[]-"
+_SYMBOL = re.compile(r"[^\w\s./:()\[\]-]")
 
 
 @dataclass(frozen=True)
@@ -111,11 +112,20 @@ def parse_label(label: str, joints: tuple[str, ...] = ()) -> Meaning:
     """Parse a label; names of known joints take precedence over other words."""
     if len(label) > LONGEST:
         return Meaning(why=f"a label of more than {LONGEST} characters")
+    label = label.strip()
     bare, unit = split_unit(label)
     # 'q_A' is joint A, not a current
-    for text, own in ((label.strip(), ""), (bare, unit)):
+    texts = [(label, ""), (bare, unit)]
+    # Behind a known joint or a number, brackets hold a unit that nobody knows, too.
+    if not unit and (match := _UNIT.search(label)):
+        if {w.kind for w in _words(match.group(1))} <= {"name"}:
+            texts.append((label[: match.start()], match.group(1).strip()))
+    for text, own in texts:
         if meaning := _parse_with_joints(text, joints):
             return replace(meaning, unit=own)
+    meaning = _parse(text)
+    if meaning.number is not None:
+        return replace(meaning, unit=own)
     return replace(_parse(bare), unit=unit)
 
 
@@ -125,6 +135,8 @@ def _parse_with_joints(text: str, joints: tuple[str, ...]) -> Meaning | None:
         at = text.lower().rfind(joint.lower())
         before, after = text[: max(at, 0)], text[at + len(joint) :]
         if at < 0 or joint.isdigit() or before[-1:].isalnum() or after[:1].isalnum():
+            continue
+        if _SYMBOL.search(after):  # a unit: °, %
             continue
         first, last = _words(before), _words(after)
         channel, why = _channel_of([w for w in first + last if w.kind != "name"])

@@ -206,7 +206,10 @@ def joint_mismatch(found: tuple[str, ...], joints: tuple[str, ...]) -> str:
     unknown = [joint for joint in found if joint not in joints]
     parts = [f"missing joints: {', '.join(missing)}"] if missing else []
     parts += [f"unknown joints: {', '.join(unknown)}"] if unknown else []
-    return f"{'; '.join(parts)}; valid are {', '.join(joints)}"
+    valid = ", ".join(joints)
+    if 0 < len(missing) < len(joints):
+        valid += ", or, if the missing ones stood still, an arm without them: --joints"
+    return f"{'; '.join(parts)}; valid are {valid}"
 
 
 def _not_finite(value: float) -> str:

@@ -19,10 +19,10 @@ SI = {
 }
 # Spellings that pint does not know.
 _SPELLED = {
-    "Nm": "N*m", "N_m": "N*m", "mNm": "mN*m", "Ncm": "N*cm", "kNm": "kN*m",
     "rad_s": "rad/s", "rad_per_s": "rad/s", "deg_s": "deg/s", "deg_per_s": "deg/s",
     "C": "degC", "Deg": "deg", "Degrees": "deg",
 }  # fmt: skip
+_TORQUE = re.compile(r"([mk]?N)[ _.⋅-]?([cm]?m)")  # Nm, N_m, N-m, mNm, Nmm
 _PLAIN = re.compile(r"[A-Za-zµμ°*/^ ·.²-]{1,16}(-1)?")
 EPOCH = 1e9  # s; later times count from 1970
 
@@ -31,6 +31,8 @@ def converted(unit: str, channel: str) -> tuple[float, float] | None:
     """Factor and offset from a unit to SI; None if it is no unit of the channel."""
     unit = unit.strip()
     unit = _SPELLED.get(unit, unit).replace("·", "*").replace("°", "deg")
+    if match := _TORQUE.fullmatch(unit):
+        unit = "*".join(match.groups())
     if unit in SI[channel]:
         return 1.0, 0.0
     return _by_pint(unit, channel)

@@ -31,7 +31,7 @@ def held_out_table(fit: Fit) -> Table:
 def effects_table(fit: Fit) -> Table:
     """The effects found at each joint, with half-widths of 95 % intervals and units.
 
-    Gains at zero without an interval are left out.
+    Gains without an interval are left out: logs do not tell them.
     """
     from scipy.special import stdtrit
 
@@ -97,13 +97,12 @@ def _units(effect: Effect, robot: Robot) -> dict[str, str]:
 
 
 def _found(effect: Effect, robot: Robot, factor: float) -> list[str]:
-    """Parameters as texts; none if every gain is zero and has no interval."""
+    """Parameters as texts; none if no gain has an interval."""
     units = _units(effect, robot)
     gains = [
-        _quantity(g.name, value, units[g.name], factor * std)
+        _quantity(g.name, effect.values[g.name], units[g.name], factor * std)
         for g in effect.gains
-        for value, std in [(effect.values[g.name], effect.std.get(g.name, 0.0))]
-        if value != 0.0 or std > 0.0
+        if (std := effect.std.get(g.name, 0.0)) > 0.0
     ]
     if not gains:
         return []
