@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from pendulum import NOISE, RATE, gap_of, pendulum, swings, with_torque
 
-from hybrid.diagnosis.answer.diagnosis import Region
+from hybrid.diagnosis.answer.diagnosis import Region, Value
 from hybrid.diagnosis.answer.events import events_at_rest
+from hybrid.diagnosis.answer.findings import finding_of, implausible
 from hybrid.diagnosis.answer.intervals import interval, shrunk
 from hybrid.diagnosis.answer.links import merged_links
 from hybrid.diagnosis.answer.motion_gap import (
@@ -43,7 +44,7 @@ from hybrid.diagnosis.gap.background import (
 )
 from hybrid.diagnosis.gap.faults import find_faults
 from hybrid.diagnosis.gap.measure import measure_gap, split, unseen_samples
-from hybrid.effects import Quantity
+from hybrid.effects import Quantity, effect_class
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.viscous import Viscous
@@ -149,6 +150,34 @@ class Replayed:
 
     def windows_with(self, members):
         return np.arange(9) > 0
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "unit", "most"),
+    [
+        ("encoder_eccentricity", "cosine", "rad", 0.05),
+        ("delay", "time", "s", 0.05),
+        ("torque_gain", "gain", "", 0.5),
+    ],
+)
+def test_an_angle_a_time_or_a_ratio_beyond_its_bound_is_doubted(
+    effect, name, unit, most
+):
+    def doubts(value):
+        size = Value("elbow", name, value, unit, (value, value))
+        return implausible([finding_of(effect_class(effect), ["elbow"], [], [size])])
+
+    assert doubts(most) == doubts(-most) == []
+    (said,) = doubts(-1.1 * most)
+    assert f"of {-1.1 * most:.2g}" in said and "at elbow is more than is" in said
+    assert doubts(1.1 * most)
+
+
+def test_a_mass_has_no_bound_that_holds_for_all_arms():
+    size = Value("arm", "mass", 80.0, "kg", (79.0, 81.0))
+    assert (
+        implausible([finding_of(effect_class("payload"), ["tool"], [], [size])]) == []
+    )
 
 
 def test_a_motion_error_is_the_median_over_the_windows(monkeypatch):

@@ -13,7 +13,7 @@ from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.command import command_link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
-from hybrid.diagnosis.answer.findings import findings
+from hybrid.diagnosis.answer.findings import findings, implausible
 from hybrid.diagnosis.answer.links import delay_finding, merged_links
 from hybrid.diagnosis.answer.motion_gap import with_motion_gap
 from hybrid.diagnosis.answer.regions import locate
@@ -237,6 +237,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
     untested = [f.effect for f in causes if _is_untested(f, scored)]
     doubts += [_UNTESTED.format(effects_listed(untested, "and"))] if untested else []
+    doubts += implausible(causes)
     error, typical = search.file_error, search.prior.file_errors[1]
     if error > typical:
         doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)

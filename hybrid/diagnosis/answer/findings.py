@@ -8,6 +8,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding, Shrink, Value, listed
 from hybrid.diagnosis.answer.intervals import shrunk
+from hybrid.diagnosis.answer.words import effect_words
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
 from hybrid.diagnosis.explanations.explanation import Explanation
@@ -17,6 +18,8 @@ from hybrid.statistics import HALF_WIDTH, interval_above
 
 _LEAST_CHANGE = 0.05  # of the largest change at a joint
 _UNDETERMINED = 0.8  # width of an interval, over the range of its shape
+_ABSOLUTE = "rad", "s", ""  # units of gains that have one bound on arms of all sizes
+_IMPLAUSIBLE = "{} of {} at {} is more than is plausible: it may have another cause"
 _REPLACES = " It takes the place of the {} friction that the file declares."
 
 
@@ -104,6 +107,20 @@ def findings(
         )
         found.append(finding)
     return tuple(sorted(found, key=lambda f: -f.share))
+
+
+def implausible(found: Sequence[Finding]) -> list[str]:
+    """Doubts about findings with an angle, a time or a ratio beyond its bounds."""
+    doubts = []
+    for f in found:
+        gains = {g.name: g for g in effect_class(f.effect).gains if g.unit in _ABSOLUTE}
+        each = [(p, gains[p.name]) for p in f.parameters if p.name in gains]
+        far = [p for p, g in each if not g.lower <= p.value <= g.upper]
+        if far:
+            most = max(far, key=lambda p: abs(p.value))
+            size = f"{most.value:.2g} {most.unit}".strip()
+            doubts.append(_IMPLAUSIBLE.format(effect_words(f.effect), size, most.joint))
+    return doubts
 
 
 def finding_of(
