@@ -2,11 +2,13 @@
 
 import weakref
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pendulum import NOISE, gap_of, pendulum, swings, with_torque
 
+from hybrid.diagnosis.answer import fixed
 from hybrid.diagnosis.answer.findings import fitted_values
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import price
@@ -432,6 +434,23 @@ def test_no_friction_that_is_reported_drives_its_joint():
     (found,) = refit(at)
     ((low, high),) = [x.interval for x in fitted_values(known, found)]
     assert found.values["level"] == 0.0 == low < high
+
+
+def test_no_friction_that_is_written_drives_its_joint(monkeypatch):
+    known = gap_of(RUBS.at({"level": -0.3}))
+    at = Search(known, split(known), [x for x in effect_classes() if x not in FEW])
+    at.causes = [cause(at, RUBS)]
+
+    def give_way(evidence, chain, index, effects):
+        free = evidence.solve(index)
+        return replace(free, gains=free.gains - 0.01)
+
+    monkeypatch.setattr(fixed, "solve_physical", give_way)
+    result = SimpleNamespace(
+        gap=known, search=at, effects=refit(at), scored=explain(at)
+    )
+    _, (written,) = fixed.fixed_simulator(result)
+    assert written.values["level"] == 0.0
 
 
 def test_the_interval_of_a_shape_is_that_of_all_that_fit_nearly_as_well():

@@ -7,7 +7,7 @@ import numpy as np
 
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.simulator import corrected
-from hybrid.diagnosis.evidence.candidates import delivered, with_gains
+from hybrid.diagnosis.evidence.candidates import delivered
 from hybrid.diagnosis.explanations.physical import solve_physical
 from hybrid.diagnosis.explanations.refit import solve_all
 from hybrid.diagnosis.gap.gap import Gap
@@ -86,10 +86,11 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
         return result.gap.robot, ()
     search, effects = result.search, list(result.effects)
     evidence, free, own = solve_all(search)
-    laws = [t.candidate.effect for t in search.terms]
-    pairs = list(zip(laws, own, strict=True))
+    laws = [t.candidate for t in search.terms]
+    pairs = [(law.effect, i) for law, i in zip(laws, own, strict=True)]
     physical = solve_physical(evidence, search.gap.robot.chain, free.index, pairs)
-    others = [with_gains(law, physical.of(i)).as_reported() for law, i in pairs]
+    gains = [physical.of(i) for i in own]
+    others = [x.fitted(y).as_reported() for x, y in zip(laws, gains, strict=True)]
     for k, (other, i) in enumerate(zip(delivered(others), own, strict=True)):
         if not np.array_equal(physical.of(i), free.of(i)):
             effects[k] = other

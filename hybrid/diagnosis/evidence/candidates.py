@@ -57,6 +57,10 @@ class Candidate:
         free = not self.effect.steep or gap.is_above_band(self.effect)
         return None if free else self.effect.gain_values
 
+    def fitted(self, gains: Array) -> Effect:
+        """The effect with some gains, or their bounds if they are below these."""
+        return with_gains(self.effect, np.maximum(gains, self.lower))
+
 
 @dataclass(frozen=True, eq=False)
 class Term:

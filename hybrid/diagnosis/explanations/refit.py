@@ -46,7 +46,7 @@ def refit(search: Search) -> tuple[Effect, ...]:
     evidence, solution, own = solve_all(search)
     gap, index = search.gap, solution.index
     effects = [
-        with_gains(t.candidate.effect, np.maximum(solution.of(i), t.candidate.lower))
+        t.candidate.fitted(solution.of(i))
         for t, i in zip(search.terms, own, strict=True)
     ]
     # The upper half of the band determines the time of a shift best.
