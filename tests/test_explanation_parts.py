@@ -63,6 +63,8 @@ class Steps(Search):
     """A search whose scores and losses are those of sets of causes by their names."""
 
     def __init__(self, scores, losses=None, found=()):
+        self._checked, self.file_error, self.library_only = {}, 0.02, False
+        self.evidence = SimpleNamespace(noise=np.ones(2))
         self.scores, self.losses, self.found = scores, losses or {}, found
         self.causes, self._certain, self.beliefs, self.once = [], [], [], []
         self.prior, self.said, self.pooled = Prior(), [], []
@@ -248,18 +250,18 @@ def test_a_search_knows_its_effects_and_its_unknown_laws():
 
 def test_an_exchange_is_tried_again_where_something_near_has_changed():
     at = Steps({})
-    at.file_error, at.library_only = 0.02, False
-    at.evidence = SimpleNamespace(noise=np.ones(2))
     at.causes = [A, B, C]
-    before = at._neighbours(A)
+    before, settings = at._neighbours(A), at._settings
     at.causes = [A, B]
     assert at._neighbours(A) == before != at._neighbours(C)
-    at.causes = [A]
+    at.library_only = True
     assert at._neighbours(A) != before
-    at.causes, at.evidence.noise = [A, B], np.array([1.0, 2.0])
+    at.causes, at.library_only = [A], False
     assert at._neighbours(A) != before
+    at.evidence.noise = np.array([1.0, 2.0])
+    assert at._settings != settings
     at.evidence.noise, at.file_error = np.ones(2), 0.05
-    assert at._neighbours(A) != before
+    assert at._settings != settings
 
 
 class Files(Steps):
