@@ -123,6 +123,7 @@ def parse_label(label: str, joints: tuple[str, ...] = ()) -> Meaning:
     for text, own in texts:
         if meaning := _parse_with_joints(text, joints):
             return replace(meaning, unit=own)
+    text, own = texts[-1]
     meaning = _parse(text)
     if meaning.number is not None:
         return replace(meaning, unit=own)

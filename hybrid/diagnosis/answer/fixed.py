@@ -91,8 +91,8 @@ def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
     physical = solve_physical(evidence, search.gap.robot.chain, free.index, pairs)
     gains = [physical.of(i) for i in own]
     others = [x.fitted(y).as_reported() for x, y in zip(laws, gains, strict=True)]
-    for k, (other, i) in enumerate(zip(delivered(others), own, strict=True)):
-        if not np.array_equal(physical.of(i), free.of(i)):
+    for k, other in enumerate(delivered(others)):
+        if not np.array_equal(gains[k], free.of(own[k])):
             effects[k] = other
     return corrected(result.scored, effects, physical.gains[: len(search.rigid)])
 
