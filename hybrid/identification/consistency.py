@@ -57,9 +57,9 @@ def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
     pseudo-inertia stays above a small share of the nominal one, that of the chain, and
     every gain above ``problem.lower``. A nominal link that is not consistent is
     replaced by a body of its size. Directions that the data do not determine stay at
-    the nominal links. So do directions that the data determine weakly, as long as the
-    loss stays below four times the least loss: the true links are consistent, so they
-    have at least that one.
+    the nominal links and rotors. So do directions that the data determine weakly, as
+    long as the loss stays below four times the least loss: the true links are
+    consistent, so they have at least that one.
 
     A gain that cannot be told from the links, as the inertia of the first rotors, is
     beside them: with a heavy rotor in it, no link would be consistent. Other gains
@@ -79,15 +79,16 @@ def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
     gains = [*(problem.base.kept[u] for u in unknowns), *beside]
     mapping = problem.base.mapping[:, [*range(10 * n), *gains]]
     frame, size = _frame(problem.chain, mapping, A)
-    ones = np.concatenate([np.tile(stacked(np.eye(4)), n), np.zeros(len(gains))])
+    ones = np.tile(stacked(np.eye(4)), n)
+    nominal = np.append(ones, [_gain_of_file(problem, column) for column in gains])
     lower = [problem.lower[unknowns], np.zeros(len(beside))]
-    floor = np.concatenate([_MARGIN * ones[: 10 * n], *lower])
+    floor = np.concatenate([_MARGIN * ones, *lower])
     K = mapping @ frame
     values, directions = eigh(K.T @ A @ K)
     curvature = values / values[-1]
     along, seen = directions.T @ (K.T @ b), curvature > _WEAKEST_PULL
     optimum = np.divide(along, values, out=np.zeros_like(along), where=seen)
-    rest = directions.T @ (ones * size)
+    rest = directions.T @ (nominal * size)
     best = mapping @ (frame @ (directions @ optimum))
     explained = max(float(best @ A @ best), 1e-300)
 
@@ -128,6 +129,14 @@ def _beside(problem: Problem, unknowns: list[int]) -> list[int]:
         and problem.effects[e].gains[g].lower >= 0
         and not problem.effects[e].changes_signals
     ]
+
+
+def _gain_of_file(problem: Problem, column: int) -> float:
+    """Gain in the robot file, if it may be taken for that of a link; else 0."""
+    e, _ = problem.columns[column - 10 * problem.chain.size]
+    effect = problem.effects[e]
+    rotor = effect.id == "armature"
+    return float(problem.chain.armature[effect.joints[0]]) if rotor else 0.0
 
 
 def _frame(chain: Chain, mapping: Array, A: Array) -> tuple[Array, Array]:
