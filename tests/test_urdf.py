@@ -228,6 +228,10 @@ FAULTS = {
         ),
         "springStiffness is 'stiff'",
     ),
+    "xacro": (
+        robot_of("<xacro:include filename='arm.xacro'/>", A, B, joint("j", "a", "b")),
+        "it is xacro; name it .xacro, or run xacro on it",
+    ),
 }  # fmt: skip
 
 

@@ -80,6 +80,8 @@ def urdf_root(content: bytes) -> Element:
         reason = "not UTF-8" if text.encode() != content else error
         raise RobotError(f"not a readable URDF ({reason})") from error
     root = builder.close()
+    if any("xacro:" in x.tag for x in root.iter()):
+        raise RobotError("it is xacro; name it .xacro, or run xacro on it")
     if root.tag != "robot" or not root.get("name"):
         raise RobotError(
             "not a readable URDF; a <robot> with a name, links and joints is needed"
