@@ -228,7 +228,8 @@ def _text(path: Path) -> _Text:
         pairs = zip_longest(labels, units, fillvalue="")
         labels = tuple(f"{x} [{unit}]" if unit else x for x, unit in pairs)
         first, above, cells = second, above + 1, _cells(second, delimiter)
-    comma = delimiter != "," and "," in first and "." not in first
+    below = first + second  # a first row may be all whole
+    comma = delimiter != "," and "," in below and "." not in below
     point = "," if comma else "."
     return _Text(path, content, labels, delimiter, point, cells, above)
 
