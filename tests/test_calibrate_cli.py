@@ -102,3 +102,19 @@ def test_metres_read_as_millimetres_are_suspected(folder, tmp_path, capsys):
     command = f"calibrate --robot {ARM} --poses {tmp_path}/poses.csv"
     assert main([*command.split(), "--out", f"{tmp_path}/new"]) == 0
     assert "check units and order" in capsys.readouterr().err
+
+
+def test_wrong_columns_are_suspected_before_the_long_fit(
+    folder, tmp_path, capsys, monkeypatch
+):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hybrid.cli.calibrate.calibrate", interrupted)
+    names, rows = (folder / "poses.csv").read_text().split("\n", 1)
+    names = names.replace("q1,q2", "q2,q1")
+    (tmp_path / "poses.csv").write_text(f"{names}\n{rows}")
+    command = f"calibrate --robot {ARM} --poses {tmp_path}/poses.csv"
+    assert main([*command.split(), "--out", f"{tmp_path}/new"]) == 130
+    assert "check units and order" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()

@@ -8,3 +8,4 @@ from hybrid.calibration.poses import random_poses as random_poses
 from hybrid.calibration.read import read_measurements as read_measurements
 from hybrid.calibration.validate import Errors as Errors
 from hybrid.calibration.validate import cross_validate as cross_validate
+from hybrid.calibration.validate import nominal_errors as nominal_errors

@@ -51,10 +51,9 @@ def cross_validate(
         raise CalibrationError(
             f"{folds} parts; valid are 2 to {data.size}, the number of poses"
         )
-    frames: Collection[str] = [group for group in free if group in ("base", "tool")]
     part = np.arange(data.size) % folds
     found = []
-    for groups in (frames, free):
+    for groups in (_frames(free), free):
         parts: dict[str, list[Array]] = defaultdict(list)
         for k in range(folds):
             fit, test = data.at(part != k), data.at(part == k)
@@ -62,6 +61,17 @@ def cross_validate(
                 parts[kind].append(sizes)
         found.append({kind: np.concatenate(x) for kind, x in parts.items()})
     return Errors(*found)
+
+
+def nominal_errors(
+    robot: Robot, data: Measurements, *, free: Collection[str], robust: bool
+) -> dict[str, Array]:
+    """Errors of the nominal arm with frames fitted to the same poses, by kind."""
+    return _errors(robot, data, data, _frames(free), robust)
+
+
+def _frames(free: Collection[str]) -> Collection[str]:
+    return [group for group in free if group in ("base", "tool")]
 
 
 def _errors(
