@@ -449,7 +449,8 @@ def test_a_payload_is_a_body_at_the_last_link_with_its_inertia_about_its_centre(
     np.testing.assert_allclose(about, full - steiner, atol=1e-9)
     for bad, message in (
         ({"mass": 0.0}, "mass is 0 kg"),
-        ({"Iyy": 0.1}, "not physical"),
+        ({"Iyy": 0.1}, "no body of 2 kg has these moments .* valid are mx to Izz"),
+        ({"Iyy": 0.8}, "no body of 2 kg has these moments .* valid are mx to Izz"),
     ):
         with pytest.raises(EffectError, match=message):
             effect("payload", 0, 1, **{**values, **bad}).edit_spec(

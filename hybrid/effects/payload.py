@@ -14,6 +14,7 @@ _LINK_STD = 0.15  # relative standard deviation of the parameters of a link
 # Standard deviation of payload parameters over the median mass of the links: 1, m, m².
 _PAYLOAD_STD = (1.0, *[0.1] * 3, *[0.02] * 6)
 _LEAST_MASS = 0.1  # kg, smallest median mass
+_ROUNDING = 1e-9  # of a moment of inertia
 
 
 class Payload(Effect):
@@ -78,8 +79,13 @@ class Payload(Effect):
         xx, xy, yy, xz, yz, zz = rest[3:]
         about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         about -= mass * (center @ center * np.eye(3) - np.outer(center, center))
-        if np.linalg.eigvalsh(about)[0] <= 0:
-            raise EffectError(f"{self.id}: the inertia is not physical")
+        low, middle, high = np.linalg.eigvalsh(about)
+        if low <= 0 or low + middle < (1 - _ROUNDING) * high:
+            raise EffectError(
+                f"{self.id}: no body of {mass:g} kg has these moments (about its "
+                f"centre {low:.3g}, {middle:.3g}, {high:.3g} kg·m²); valid are mx to "
+                "Izz that go with the mass"
+            )
         # Without a name, so that a link may have several.
         body = spec.body(names[self.joints[-1]]).add_body()
         body.explicitinertial = True
