@@ -127,3 +127,14 @@ def test_a_request_that_cannot_be_met_is_refused_in_one_line(
     text = capsys.readouterr().err
     assert code == 2 and says in text
     assert not out.exists()
+
+
+def test_a_motion_of_an_earlier_run_is_warned_of(tmp_path, capsys):
+    """It may break the limits of this run."""
+    (tmp_path / "reference_2.csv").write_text("t,q1\n")
+    command = f"excite --robot {PLANAR} {QUICK} --out {tmp_path}"
+    assert main(command.split()) == 0
+    said = capsys.readouterr().err
+    assert "also holds reference_2.csv, not of this run" in said
+    assert main(command.replace("excite", "excite --trajectories 2").split()) == 0
+    assert "not of this run" not in capsys.readouterr().err

@@ -141,6 +141,7 @@ def run(args: Namespace, screen: Screen) -> None:
     save_figure(postures_figure(robot, reference), postures)
     options.write_record(args, found.as_dict())
     _tell(args, screen, found)
+    options.warn_of_others(args.out, outputs)
 
 
 def _tell(args: Namespace, screen: Screen, found: Design) -> None:

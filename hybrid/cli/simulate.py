@@ -1,14 +1,11 @@
 """``hybrid simulate``: recordings of a simulated arm with a known truth."""
 
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
-from hybrid.errors import warn
 from hybrid.plant import simulate
 from hybrid.plant.simulate import TRUTH, content_from_plant, recording_paths, write_run
-from hybrid.recording.formats import kind_of
 from hybrid.recording.write import writer_of
 from hybrid.shown import counted
 
@@ -69,16 +66,4 @@ def run(args: Namespace, screen: Screen) -> None:
         f"{plant.robot.name}: {counted(len(paths), 'motion')} of {args.duration:g} s "
         f"with {counted(len(plant.effects), 'effect')} in {args.out}"
     )
-    _warn_of_others(args.out, paths)
-
-
-def _warn_of_others(folder: Path, paths: list[Path]) -> None:
-    # '--recordings DIR' would mix this run with what else lies there.
-    others = sorted(
-        path.name
-        for path in folder.iterdir()
-        if kind_of(path) and path not in paths and path.name[0] != "."
-    )
-    if others:
-        more = f" and {len(others) - 1} more" if len(others) > 1 else ""
-        warn(f"{folder} also holds {others[0]}{more}, not of this run")
+    options.warn_of_others(args.out, paths)

@@ -3,7 +3,7 @@
 import hashlib
 import math
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -11,12 +11,13 @@ from typing import Any
 
 from hybrid.cli.shared.screen import Screen
 from hybrid.effects import Effect, effects_from_text
-from hybrid.errors import HybridError
+from hybrid.errors import HybridError, warn
 from hybrid.files import output_fault
 from hybrid.model import DynamicModel
 from hybrid.plant import Plant, load_truth
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording, read, read_all
+from hybrid.recording.formats import kind_of
 from hybrid.report import provenance, write_results
 from hybrid.robot import Robot
 from hybrid.robot.library import robot_file
@@ -279,3 +280,15 @@ def write_record(args: Namespace, content: Mapping[str, Any]) -> None:
     """Write results with their provenance to ``--json``, if it was given."""
     if args.json:
         write_results(args.json, {**content, "provenance": args.how})
+
+
+def warn_of_others(folder: Path, paths: Sequence[Path]) -> None:
+    """Warn of logs and motions in a folder that are not of this run."""
+    others = sorted(
+        path.name
+        for path in folder.iterdir()
+        if kind_of(path) and path not in paths and path.name[0] != "."
+    )
+    if others:
+        more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+        warn(f"{folder} also holds {others[0]}{more}, not of this run")
