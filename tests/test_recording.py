@@ -96,6 +96,14 @@ def test_a_sample_that_is_not_finite_is_named_by_channel_joint_and_row(channel, 
         Recording(**fields)
 
 
+def test_a_joint_without_a_number_is_told_apart_from_rows_without_one():
+    tau = np.zeros((200, 3))
+    tau[:, 1] = np.nan
+    fields = vars(log()) | {"joints": ("base", "elbow", "wrist"), "tau": tau}
+    with pytest.raises(RecordingError, match=r"tau2 \(elbow\): no number .* --joints$"):
+        Recording(**fields)
+
+
 @pytest.mark.parametrize(
     ("value", "message"),
     [

@@ -174,6 +174,12 @@ class Recording:
             if np.isfinite(x).all():
                 continue
             row, joint = np.argwhere(~np.isfinite(x))[0]
+            if np.isnan(x[:, joint]).all():
+                raise self._error(
+                    f"{self.place(name, joint)}: no number in any row; valid are "
+                    "numbers, or, if that joint stood still, an arm without it: "
+                    "--joints"
+                )
             raise self._error(
                 f"{self.place(name, joint, row)}: {_not_finite(x[row, joint])}"
             )
