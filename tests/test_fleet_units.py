@@ -28,7 +28,7 @@ from hybrid.fleets.worker import LATE, LOST, REFUSED
 from hybrid.identification import DynamicModel
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
-from hybrid.report.fleet import diagnoses_table
+from hybrid.report.fleet import diagnoses_table, fleet_tables
 
 DAYS = {"2026-01-05": "W02", "2026-01-06": "W02", "2026-02-02": "W06"}
 
@@ -125,6 +125,12 @@ def test_a_diagnosis_that_failed_is_a_verdict_with_its_reason(arm, tmp_path, kno
     rows, _ = run(arm, tmp_path, diagnose=True)
     table = diagnoses_table(Fleet(rows, (), (), 1.0, 1.0))
     assert table.rows == (("a", "2026-W06", "refused", "logs/a_b.csv: no torques"),)
+
+
+def test_each_column_of_a_fleet_s_tables_has_a_name():
+    """They are the keys of the JSON file."""
+    for table in fleet_tables(Fleet([], (), (), 1.0, 1.0)).values():
+        assert all(table.header)
 
 
 @pytest.mark.parametrize(

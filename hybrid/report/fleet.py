@@ -128,7 +128,7 @@ def fleet_tables(fleet: Fleet) -> dict[str, Table]:
 def refused_table(fleet: Fleet) -> Table:
     """Periods without a result, with the reason."""
     rows = [(x["arm"], x["period"], x["status"], x["reason"]) for x in fleet.refused]
-    return Table(("arm", "period", "", "why"), tuple(rows), words=True)
+    return Table(("arm", "period", "status", "why"), tuple(rows), words=True)
 
 
 def _ranked(fleet: Fleet) -> dict[str, float]:
