@@ -19,6 +19,7 @@ from hybrid.diagnosis.evidence.shapes import shape_derivatives, shape_units
 from hybrid.diagnosis.gap.background import friction_near_rest, soft_friction
 from hybrid.diagnosis.gap.measure import measure_gap, split, unseen_samples
 from hybrid.dynamics import RigidBody, simulated_torque
+from hybrid.effects import effects_from_text
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
@@ -36,6 +37,7 @@ from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.plant import Noise, Plant, Reference, random_fourier, simulate
+from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.signals import butterworth
@@ -374,6 +376,20 @@ class TestCause:
             floor = planar().diagnosis.noise_floor
             joint = planar().diagnosis.joints.index(f.joints[0])
             assert shrink.after == pytest.approx(floor[joint], rel=0.15)
+
+    @pytest.mark.study
+    def test_friction_that_is_most_of_the_torque_is_no_dead_zone(self):
+        """Its torque has the sign of the speed, which a dead zone smooths over more."""
+        robot = arm("scara")
+        effects = effects_from_text(
+            "coulomb:elbow(level=0.5),torque_ripple:shoulder",
+            robot.joints,
+            joint_scales(robot),
+        )
+        logs = simulate(Plant(robot, effects), trajectories=4, duration=10.0, seed=0)
+        found = examine(robot, logs).diagnosis
+        (friction,) = (f for f in found.findings if f.joints == ("elbow",))
+        assert friction.effect == "coulomb"
 
     @pytest.mark.study
     def test_a_wrong_torque_constant_counts_friction_too(self):

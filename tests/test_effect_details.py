@@ -99,11 +99,11 @@ def test_a_fitted_loss_is_reported_as_that_of_the_torque_asked_for():
     assert clips.values["loss"] == 0.25 and clips.values["total"] == 0.0
 
 
-def test_of_a_drive_that_clips_most_must_be_lost():
+def test_of_a_drive_that_clips_or_has_a_dead_zone_most_must_be_lost():
     assert effect("saturation", total=1.0).least_gains == [0.8]
     assert effect("saturation").least_gains == [0.0]
     assert effect("deadzone", onset=2.0, total=1.0).least_gains == [1.6]
-    assert effect("deadzone", onset=2.0).least_gains == [0.0]
+    assert effect("deadzone", onset=2.0).least_gains == [1.6]
 
 
 def drive(asked, tau, v=None):

@@ -58,7 +58,9 @@ from hybrid.effects import Quantity, effect_classes
 from hybrid.effects.backlash import Backlash
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.deadzone import Deadzone
 from hybrid.effects.delay import Delay
+from hybrid.effects.payload import LinkInertia
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_offset import TorqueOffset
@@ -252,6 +254,20 @@ def test_a_prior_is_of_the_numbers_of_the_file_and_of_the_last_joint():
     assert candidate(gap, Coulomb((1,))).place == ("coulomb", (1,))
     term = Term(candidate(gap, Coulomb((1,))), np.array([3]))
     assert term.place == ("coulomb", (1,))
+
+
+def test_bounds_follow_the_shapes_and_stay_where_the_file_sets_them():
+    rubs = replace(pendulum(1), frictionloss=np.array([0.7]))
+    gap = measure_gap(rubs, swings(1), cutoff=10.0)
+    zone = Deadzone((0,), {"onset": 1.0})
+    first = candidate(gap, zone)
+    later = first.at(zone.at({"onset": 2.0}))
+    assert (first.lower, later.lower) == ([0.8], [1.6])
+    assert later.std is first.std and later.effect.values["onset"] == 2.0
+    dry = candidate(gap, Coulomb((0,)))
+    assert dry.at(Coulomb((0,), {"level": 1.0})).lower == pytest.approx([-0.7])
+    link = candidate(gap, LinkInertia((0,)))
+    assert np.isneginf(link.at(link.effect).lower).all()
 
 
 def test_gains_are_given_to_effects_but_to_steep_ones():

@@ -12,7 +12,7 @@ from hybrid.signals import Motion
 # Slope of the law within the zone when it is inverted, so that the commanded torque
 # has no jumps.
 _INVERSE_SLOPE = 0.05
-_LEAST_LOST = 0.8  # of the width: torque that is lost
+_LEAST_LOST = 0.8  # of the onset: torque that is lost
 _MOST_DELIVERED = 0.2  # torque within the zone, of its width and of that outside
 _LEAST_OUTSIDE = 0.5  # of the time: the torque is outside the zone
 _MOST_INSIDE = 0.15  # of the time: a controller leaves the zone soon
@@ -71,8 +71,8 @@ class Deadzone(Effect):
 
     @property
     def least_gains(self) -> Array:
-        """The width, if torque within the zone is lost; shape (1,)."""
-        return np.array([_LEAST_LOST * self.values["onset"] * self.values["total"]])
+        """Nearly the onset, shape (1,): smoothed over more, the sign is a gain."""
+        return np.array([_LEAST_LOST * self.values["onset"]])
 
     def deliver(self, torque: Array) -> Array:
         """Delivered torque for a commanded one."""

@@ -91,7 +91,7 @@ def tried_shapes(search: Search) -> list[Candidate]:
     for c in list({c.place: c for c in tried}.values()):
         for wave in (s.name for s in c.effect.shapes if s.unit == "1/turn"):
             long = (c.effect.at({wave: k}) for k in range(1, _LONG_WAVES + 1))
-            tried += [replace(c, effect=effect) for effect in long]
+            tried += [c.at(effect) for effect in long]
     return tried
 
 

@@ -1,8 +1,9 @@
 """The candidates: every effect, at every joint, on a grid of its shapes."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Self
 
 import numpy as np
 
@@ -48,6 +49,12 @@ class Candidate:
     def place(self) -> Place:
         """Id of the effect, and its joints."""
         return self.effect.id, self.effect.joints
+
+    def at(self, effect: Effect) -> Self:
+        """The candidate with other values, and the bounds that depend on them."""
+        own = self.lower == self.effect.least_gains
+        lower = np.where(own, effect.least_gains, self.lower)
+        return replace(self, effect=effect, lower=lower)
 
     def fixed_gains(self, gap: Gap) -> Array | None:
         """Gains at which the columns of a steep effect were evaluated, shape (p,).

@@ -30,7 +30,7 @@ def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, fl
     """
 
     def worth(effect: Effect) -> float:
-        return gain(evidence, base, replace(c, effect=effect))
+        return gain(evidence, base, c.at(effect))
 
     first = scan_gain(evidence, base, c).effect if c.effect.steep else c.effect
     start = worth(first)
@@ -38,8 +38,8 @@ def refine(evidence: Evidence, base: Index, c: Candidate) -> tuple[Candidate, fl
     if best < start:
         effect, best = first, start
     if effect.linearised:
-        effect, best = _fit_nonlinear(evidence, base, replace(c, effect=effect))
-    better = replace(c, effect=effect)
+        effect, best = _fit_nonlinear(evidence, base, c.at(effect))
+    better = c.at(effect)
     factor = _trial(evidence, base, better).prior_factor
     return replace(better, prior_factor=factor), best
 
@@ -68,7 +68,7 @@ def _fit_nonlinear(
     if not effect.shifts:
         return effect, best - price(effect)
     effect = fit_shift(evidence, base, effect)
-    return effect, gain(evidence, base, replace(c, effect=effect))
+    return effect, gain(evidence, base, c.at(effect))
 
 
 def fit_shift(
@@ -108,7 +108,7 @@ def scan_gain(evidence: Evidence, base: Index, c: Candidate) -> Candidate:
 
     def at(log: float) -> Candidate:
         value = float(np.clip(now * np.exp(log), bounds.lower, bounds.upper))
-        return replace(c, effect=c.effect.at({own.name: value}))
+        return c.at(c.effect.at({own.name: value}))
 
     found = minimize_scalar(
         lambda x: -gain(evidence, base, at(x)),
@@ -121,7 +121,7 @@ def scan_gain(evidence: Evidence, base: Index, c: Candidate) -> Candidate:
         return best
     (value,) = evidence.trial(base, gap.columns(best.effect), c.std, c.lower).gains
     value = float(np.clip(value, bounds.lower, bounds.upper))
-    return replace(c, effect=best.effect.at({own.name: value}))
+    return c.at(best.effect.at({own.name: value}))
 
 
 def add_shape_derivatives(evidence: Evidence, effect: Effect) -> Index:

@@ -123,9 +123,7 @@ def _limit(search: Search, cause: Cause, rest: list[Cause]) -> str | None:
     if c is None or end is None:
         return None
     base = search.columns(rest)
-    own, there = (
-        gain(search.evidence, base, replace(c, effect=x)) for x in (c.effect, end[0])
-    )
+    own, there = (gain(search.evidence, base, c.at(x)) for x in (c.effect, end[0]))
     return end[1] if own - there < search.model_error_odds(cause) else None
 
 

@@ -115,9 +115,10 @@ def _profile_range(
     points = np.concatenate([[middle], near, rng.random((_DRAWS, size))])
     worth, off = [], []
     for point in np.clip(points, 0.0, 1.0):
-        effect = with_normalised_shapes(gap, c.effect, point)
-        found, gains, _ = evidence.trial(base, gap.columns(effect), c.std, c.lower)
-        values = with_gains(effect, gains).values
+        drawn = c.at(with_normalised_shapes(gap, c.effect, point))
+        columns = gap.columns(drawn.effect)
+        found, gains, _ = evidence.trial(base, columns, c.std, drawn.lower)
+        values = with_gains(drawn.effect, gains).values
         worth.append(found)
         off.append([values[x] - c.effect.values[x] for x in names])
     inside = np.array(worth) > max(worth) - chdtri(size, 0.05) / 2
