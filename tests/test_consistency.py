@@ -434,7 +434,7 @@ def test_without_data_on_some_joints_their_links_stay_nominal():
     tau = torque_of(problem, links, some_gains(links, rng) * still, motion)
     products = crossed(problem, replace(motion, tau=tau))
     found = physically_consistent(problem, *products.normal(np.eye(6)))
-    np.testing.assert_allclose(found.inertial[:5], links[:5], rtol=0.03, atol=1e-4)
+    np.testing.assert_allclose(found.inertial[:5], links[:5], rtol=1e-3, atol=1e-5)
     rotors = {
         problem.effects[e].joints[0]: found.theta[u] for u, e, _ in problem.gains
         if problem.effects[e].id == "armature"

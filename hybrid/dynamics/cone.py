@@ -15,8 +15,8 @@ _SETTINGS = {
     "verbose": False,
     "equilibrate_enable": False,  # the coordinates are scaled already
     "static_regularization_constant": 1e-10,
-    "tol_gap_abs": 1e-9,
-    "tol_gap_rel": 1e-8,
+    "tol_gap_abs": 1e-11,
+    "tol_gap_rel": 1e-10,
     "tol_infeas_abs": 1e-14,  # heavy links are always feasible
     "tol_infeas_rel": 1e-14,
 }
