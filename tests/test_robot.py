@@ -354,6 +354,13 @@ def test_a_missing_file_is_named(tmp_path):
     assert "no such robot file" in message_of(tmp_path / "gone.urdf")
 
 
+def test_urdf_with_the_ending_of_mjcf_is_refused(tmp_path):
+    """MuJoCo would read it, without the limits of its joints."""
+    path = tmp_path / "arm.xml"
+    path.write_text('<?xml version="1.0"?><!-- an arm --><robot name="arm"/>')
+    assert "valid is the ending .urdf" in message_of(path)
+
+
 def test_an_unknown_suffix_lists_those_that_are_known(tmp_path):
     path = tmp_path / "arm.sdf"
     path.write_text("<sdf/>")

@@ -9,6 +9,7 @@ import numpy as np
 
 from hybrid.errors import RobotError
 from hybrid.robot.demand import check_demand
+from hybrid.robot.edit.markup import markup, read_markup
 from hybrid.robot.library import robot_file
 from hybrid.robot.mjcf import fields_of_mujoco
 from hybrid.robot.mujoco_model import compile_spec, compile_without_assets
@@ -65,6 +66,11 @@ def _of_file(
         content = urdf_content(path)
         return {**read_urdf(content, path, joints, held), "path": str(path)}, None
     check_demand(path)
+    first = next(markup(read_markup(path.read_bytes()), path), None)
+    if first and first.name == "robot":  # MuJoCo reads it, but not its limits
+        raise RobotError(
+            f"{path}: not a readable MJCF but a URDF; valid is the ending .urdf"
+        )
     model, missing = compile_without_assets(path)
     fields = fields_of_mujoco(model, str(path), joints, held, missing)
     return {**fields, "name": path.stem, "path": str(path)}, model
