@@ -661,6 +661,7 @@ def test_friction_of_a_drive_with_another_gain_is_that_of_the_joint():
 
 
 class TestEvents:
+    @pytest.mark.study
     def test_contacts_at_times_of_their_own_in_three_of_four_recordings_are_found(self):
         robot, free = logs([])
         starts, recordings, torques = {0: 2.2, 2: 1.6, 3: 0.9}, list(free), []

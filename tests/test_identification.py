@@ -103,6 +103,7 @@ def test_a_rich_motion_is_not_complained_of():
 # --- the torque constant --------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_the_wrong_torque_constant_of_one_drive_shows_through_the_coupling():
     """What moves the elbow pushes on the shoulder, whose constant is right."""
     true = TorqueGain((1,), {"gain": 0.2})

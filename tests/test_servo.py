@@ -178,6 +178,7 @@ def test_a_soft_servo_is_found_where_it_is(folder):
     assert (fit.after < 4 * TICK).all()
 
 
+@pytest.mark.study
 def test_a_second_fit_starts_from_the_file_that_the_first_one_wrote(folder, tmp_path):
     """It started from usual servos, and found the same gap once more."""
     fit = found(folder, stiffness=0.6)
@@ -191,6 +192,7 @@ def test_a_second_fit_starts_from_the_file_that_the_first_one_wrote(folder, tmp_
     assert all(x.worth < TICK for x in again.findings), again.findings
 
 
+@pytest.mark.study
 def test_an_arm_like_its_file_has_nothing_worth_a_step_of_the_encoder(folder):
     fit = found(folder)
     assert all(x.worth < TICK for x in fit.findings), fit.findings
@@ -206,6 +208,7 @@ def test_a_late_command_is_found_with_its_delay(folder):
     assert (fit.after < 0.35 * fit.before).all()
 
 
+@pytest.mark.study
 def test_a_limit_of_torque_far_below_that_of_the_file_is_found(folder):
     limits = np.array([[-4.0, 4.0], [-0.6, 0.6]])
     logs = [log(k, seconds=4.0, actuator_forcerange=limits) for k in range(2)]
@@ -218,6 +221,7 @@ def test_a_limit_of_torque_far_below_that_of_the_file_is_found(folder):
 UNLIMITED = re.sub(' forcerange="[^"]*"', "", ARM)
 
 
+@pytest.mark.study
 def test_a_servo_whose_file_has_no_limit_of_torque_has_none(tmp_path):
     """Joints without weight tell nothing of the torque that their drives can give."""
     text = UNLIMITED.replace('axis="0 1 0"', 'axis="0 0 1"').replace("0.02", "0.3")
@@ -230,6 +234,7 @@ def test_a_servo_whose_file_has_no_limit_of_torque_has_none(tmp_path):
     assert ("stall, N·m", "none", "none") in servos_table(fit).rows
 
 
+@pytest.mark.study
 def test_a_file_says_a_dead_band_as_far_as_it_can(folder):
     logs = [log(k, seconds=4.0, dead=0.05) for k in range(2)]
     fit = fit_servo(arm(folder), logs)
@@ -502,6 +507,7 @@ def test_a_part_of_a_log_starts_with_the_goals_that_the_whole_has_there(changed)
     np.testing.assert_allclose(short, long[2 * first :][: len(short)], atol=1e-9)
 
 
+@pytest.mark.study
 def test_a_joint_that_counts_the_other_way_is_found(robot):
     """Of two parallel axes either: both together mirror the arm, and it moves alike."""
     way, logs = np.array([1.0, -1.0]), [log(k, 6.0) for k in range(2)]
