@@ -377,6 +377,19 @@ class TestCause:
             joint = planar().diagnosis.joints.index(f.joints[0])
             assert shrink.after == pytest.approx(floor[joint], rel=0.15)
 
+    def test_placeholders_of_friction_are_too_much_friction(self):
+        """Torque of an arm that hardly rubs is as small as its noise at times."""
+        robot = arm("planar")
+        dry, viscous = 0.05 * robot.tau_max, 0.1 * robot.tau_max
+        file = replace(robot, frictionloss=dry, damping=viscous)
+        rubs = replace(robot, frictionloss=0.075 * dry, damping=0.0075 * viscous)
+        logs = simulate(Plant(rubs, nominal=file), trajectories=4, duration=10.0)
+        found = examine(file, logs).diagnosis.findings
+        both = ("shoulder", "elbow")
+        assert {(f.effect, f.joints) for f in found} == {
+            ("coulomb", both), ("viscous", both)
+        }  # fmt: skip
+
     @pytest.mark.study
     def test_friction_that_is_most_of_the_torque_is_no_dead_zone(self):
         """Its torque has the sign of the speed, which a dead zone smooths over more."""

@@ -61,7 +61,7 @@ class Deadzone(Effect):
             parts.append([x[moves, j] for x in known])
         v, a, tau, asked = np.concatenate(parts, axis=1)
         if not self.values["total"]:
-            return bool(np.mean(np.abs(tau) > onset) > _LEAST_OUTSIDE)
+            return bool(np.mean(np.abs(asked) > onset) > _LEAST_OUTSIDE)
         inside = np.abs(asked) < onset
         if not 0.0 < inside.mean() < _MOST_INSIDE:
             return False

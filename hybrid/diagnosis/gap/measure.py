@@ -125,14 +125,15 @@ def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
     """Simulated torque, or the measured one where both differ much, (N, n), [N·m].
 
     The gap contains the noise of the measured torque: columns that contain it too would
-    seem to explain the gap.
+    seem to explain the gap. So the measured torque has to be far above it, too.
     """
     low = partial(butterworth, motion.tau - simulated, rate=motion.rate)
     slow = low(cutoff=LOWER_BAND * cutoff)
     rough = np.abs(low(cutoff=cutoff) - slow)
     usable = motion.mask | ~motion.mask.any()
     far = _FAR * robust_std(rough[usable])
-    return np.where(np.abs(slow) > far, motion.tau, simulated)
+    clear = np.median(np.abs(motion.tau[usable]), axis=0) > far
+    return np.where(clear & (np.abs(slow) > far), motion.tau, simulated)
 
 
 def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Faults:
