@@ -581,7 +581,7 @@ def test_the_gain_of_a_drive_multiplies_what_it_reports():
 
 
 def test_an_unphysical_payload_is_refused_by_the_plant():
-    for values, message in (({"mass": 0.0}, "above 0"), ({"mx": 3.0}, "not physical")):
+    for values, message in (({"mass": 0.0}, "above 0"), ({"mx": 3.0}, "no body of")):
         with pytest.raises(EffectError, match=message):
             Plant(robot(), [typical("payload", **values)])
 
