@@ -48,7 +48,7 @@ class Deadzone(Effect):
         return np.nan_to_num(self._direction(torque[:, self.joints]))[:, :, None]
 
     def holds(self, motions: Sequence[Motion]) -> bool:
-        """Whether the torque is outside the zone mostly, and nothing is lost there.
+        """Whether both torques are outside the zone mostly, or nothing comes through.
 
         Else its direction looks like a gain. A controller leaves a dead zone soon.
         """
@@ -61,7 +61,8 @@ class Deadzone(Effect):
             parts.append([x[moves, j] for x in known])
         v, a, tau, asked = np.concatenate(parts, axis=1)
         if not self.values["total"]:
-            return bool(np.mean(np.abs(asked) > onset) > _LEAST_OUTSIDE)
+            lower = np.minimum(np.abs(tau), np.abs(asked))
+            return bool(np.mean(lower > onset) > _LEAST_OUTSIDE)
         inside = np.abs(asked) < onset
         if not 0.0 < inside.mean() < _MOST_INSIDE:
             return False
