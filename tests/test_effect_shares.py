@@ -80,12 +80,14 @@ def is_dead(motion, **values):
 
 
 def test_torque_has_a_direction_if_it_is_above_the_onset_for_half_of_the_time():
-    assert is_dead(drive(0.0, some(501, 2.1, 1.9)))
-    assert not is_dead(drive(0.0, some(500, 2.1, 1.9)))
+    for count, is_so in ((501, True), (500, False)):
+        part = some(count, 2.1, 1.9)
+        for asked, tau in ((part, part), (part, 3.0), (3.0, part)):
+            assert is_dead(drive(asked, tau)) == is_so
     # What is delivered at rest does not count.
-    still = 4 * some(600, 0.049, 1.0)
-    assert is_dead(drive(0.0, some(600, 0.5, 2.1), still))
-    assert not is_dead(drive(0.0, some(600, 0.5, 2.1), 4 * some(600, 0.051, 1.0)))
+    tau = some(600, 0.5, 2.1)
+    assert is_dead(drive(tau, tau, 4 * some(600, 0.049, 1.0)))
+    assert not is_dead(drive(tau, tau, 4 * some(600, 0.051, 1.0)))
 
 
 def test_a_command_is_in_a_dead_zone_for_a_seventh_of_the_time_at_most():
