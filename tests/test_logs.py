@@ -238,6 +238,21 @@ def test_episodes_of_a_lerobot_dataset_are_recordings(tmp_path, version):
         assert any("gripper" in label for label, _ in recording.reading.aside)
 
 
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_file_of_a_lerobot_dataset_has_its_episodes_and_joints(
+    tmp_path, version, monkeypatch
+):
+    folder = logs.lerobot(tmp_path / "data", version, episodes=3)
+    every = taken(read_all, folder, torque=False)
+    monkeypatch.chdir(folder / "data" / "chunk-000")
+    files = sorted(Path().glob("*.parquet"))
+    found = [r for x in files for r in taken(read_all, x, torque=False)]
+    assert [r.reading.name for r in found] == [f"episode {k}" for k in range(3)]
+    for one, same in zip(found, every, strict=True):
+        assert one.joints == same.joints
+        np.testing.assert_array_equal(one.q, same.q)
+
+
 def test_units_of_a_lerobot_dataset_come_from_the_map(tmp_path):
     folder = logs.lerobot(tmp_path / "data", "v3.0")
     with pytest.warns(HybridWarning, match="units are not in a LeRobot dataset"):

@@ -21,8 +21,8 @@ remainder is left out. Writes the columns time (s), one of each parameter, and
 error_JOINT (N·m), ten times a second; the suffix of --out, .csv, .parquet or .npz, says
 how.
 
-Samples that jump or repeat, and values that no arm has, are left out and counted, as in
-a controller. A cell without a number is refused.
+Samples that jump or repeat the one before, and values that no arm has, are left out and
+counted, as in a controller. A cell without a number, or a time twice, is refused.
 
 --json: provenance, robot, joints, samples, health (what became of the samples), changes
 (t, statistic, and mass, known a second later), parameters, noise, microseconds (median

@@ -5,10 +5,13 @@ from pathlib import Path
 
 from hybrid.recording.formats.csv import read_csv
 from hybrid.recording.formats.hdf5 import read_hdf5
-from hybrid.recording.formats.lerobot import is_dataset, read_lerobot
+from hybrid.recording.formats.lerobot import (
+    is_dataset,
+    read_lerobot,
+    read_parquet_or_episodes,
+)
 from hybrid.recording.formats.mat import read_mat
 from hybrid.recording.formats.npz import read_npz
-from hybrid.recording.formats.parquet import read_parquet
 from hybrid.recording.formats.ros import is_bag, read_ros
 from hybrid.recording.table import LogTable
 
@@ -19,7 +22,7 @@ READERS: dict[str, Reader] = {
     ".tsv": read_csv,
     ".csv.gz": read_csv,
     ".tsv.gz": read_csv,
-    ".parquet": read_parquet,
+    ".parquet": read_parquet_or_episodes,
     ".npz": read_npz,
     ".mcap": read_ros,
     ".db3": read_ros,

@@ -5,7 +5,7 @@ and have torques only if the robot recorded them.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
 from hybrid.recording.formats.frame import table_of_frame
-from hybrid.recording.formats.parquet import arrow_table, check_parquet
+from hybrid.recording.formats.parquet import arrow_table, check_parquet, read_parquet
 from hybrid.recording.table import LogTable
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
@@ -29,8 +29,14 @@ def is_dataset(folder: Path) -> bool:
     return (folder / "meta" / "info.json").is_file()
 
 
-def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
-    """Read the episodes of a dataset, one table each."""
+def read_parquet_or_episodes(path: Path) -> Iterable[tuple[LogTable]]:
+    """Read a Parquet file; one of a dataset has its episodes and names of joints."""
+    folders = [x for x in path.absolute().parents if is_dataset(x)]
+    return read_lerobot(folders[0], path) if folders else read_parquet(path)
+
+
+def read_lerobot(folder: Path, only: Path | None = None) -> Iterator[tuple[LogTable]]:
+    """Read the episodes of a dataset, or of one of its files, one table each."""
     try:
         info = read_json(folder / "meta" / "info.json")
         version, features = str(info["codebase_version"]), dict(info["features"])
@@ -41,7 +47,8 @@ def read_lerobot(folder: Path) -> Iterator[tuple[LogTable]]:
             f"{folder}: LeRobot dataset {version[:20]}; valid are {', '.join(VERSIONS)}"
         )
     check_parquet(folder)
-    files = sorted((folder / "data").rglob("*.parquet"))[:_MOST_FILES]
+    every = sorted((folder / "data").rglob("*.parquet"))[:_MOST_FILES]
+    files = every if only is None else [only]
     if not files:
         raise RecordingError(f"{folder}: no Parquet files in data/")
     for file in files:
