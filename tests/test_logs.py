@@ -25,6 +25,7 @@ from hybrid.cli.shared.options import read_logs
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, recording_from_table
+from hybrid.recording.formats.lerobot import read_parquet_or_episodes
 from hybrid.recording.formats.mat_elements import check_elements
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "ur10_bag"
@@ -251,6 +252,12 @@ def test_a_file_of_a_lerobot_dataset_has_its_episodes_and_joints(
     for one, same in zip(found, every, strict=True):
         assert one.joints == same.joints
         np.testing.assert_array_equal(one.q, same.q)
+    # A table beside the dataset's own files is a table.
+    own = folder / "own.parquet"
+    whole = logs.parquet.read_table(files[0])
+    logs.parquet.write_table(whole.drop_columns(["episode_index"]), own)
+    ((table,),) = read_parquet_or_episodes(own)
+    assert table.kind == "Parquet" and not table.name
 
 
 def test_units_of_a_lerobot_dataset_come_from_the_map(tmp_path):

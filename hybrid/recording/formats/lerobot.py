@@ -31,7 +31,8 @@ def is_dataset(folder: Path) -> bool:
 
 def read_parquet_or_episodes(path: Path) -> Iterable[tuple[LogTable]]:
     """Read a Parquet file; one of a dataset has its episodes and names of joints."""
-    folders = [x for x in path.absolute().parents if is_dataset(x)]
+    above = path.absolute().parents
+    folders = [x for x in above if x / "data" in above and is_dataset(x)]
     return read_lerobot(folders[0], path) if folders else read_parquet(path)
 
 
@@ -48,7 +49,7 @@ def read_lerobot(folder: Path, only: Path | None = None) -> Iterator[tuple[LogTa
         )
     check_parquet(folder)
     every = sorted((folder / "data").rglob("*.parquet"))[:_MOST_FILES]
-    files = every if only is None else [only]
+    files = [only] if only else every
     if not files:
         raise RecordingError(f"{folder}: no Parquet files in data/")
     for file in files:
