@@ -204,11 +204,24 @@ def test_the_direction_of_torque_is_that_beyond_its_onset():
     log = replace(drive(tau, tau), asked=None)
     np.testing.assert_allclose(law.columns(log, None)[:, 0, 0], direction)
     np.testing.assert_allclose(law.columns(drive(tau, tau), None)[:, 0, 0], direction)
-    # Where the torque delivered, or asked for, is hardly ever above the onset, it is
-    # a gain.
+    # Where torque is hardly ever above the onset, it is a gain.
     small = np.where(np.arange(401) < 150, tau, 0.1)
     assert law.holds([drive(tau, tau)]) and law.holds([log])
-    assert not law.holds([drive(tau, small)]) and not law.holds([drive(small, tau)])
+    assert not law.holds([drive(tau, small)])
+
+
+def test_the_direction_of_torque_has_no_noise_and_not_the_friction_of_the_file():
+    t = np.linspace(0, 60, 3000)
+    v = np.cos(1.7 * t)
+    link, noise = 10.0 * np.sin(t), np.random.default_rng(1).normal(0, 3.0, 3000)
+    asked, wrong = link + 0.5 * np.sign(v), link + 5.0 * np.sign(v)
+    law = effect("deadzone", onset=2.0)
+    found = law.columns(drive(asked + noise, wrong, v[:, None]), None)[:, 0, 0]
+    assert np.sqrt(np.mean((found - np.clip(asked / 2.0, -1, 1)) ** 2)) < 0.05
+    # With friction alone both are outside the zone only by what the file has too much.
+    friction = drive(0.5 * np.sign(v) + noise, 5.0 * np.sign(v), v[:, None])
+    assert law.holds([drive(asked + noise, wrong, v[:, None])])
+    assert not law.holds([friction])
 
 
 def test_a_dead_zone_is_sure_where_nothing_comes_through_and_it_is_soon_crossed():

@@ -15,6 +15,7 @@ from hybrid.diagnosis.evidence.noise import (
     Noise,
     autocovariance,
     floored,
+    whitened_power,
 )
 
 
@@ -42,6 +43,15 @@ def test_weighting_is_by_the_inverse_of_the_covariance(pole, hole):
     own[:hole, hole:] = own[hole:, :hole] = 0.0
     weighted = Noise(covariance(pole), follows).weight(own)
     np.testing.assert_allclose(weighted, np.eye(40), atol=1e-9)
+
+
+@given(pole=st.floats(-0.95, 0.95), other=st.floats(-0.9, 0.9))
+def test_the_power_of_a_whitened_process_is_that_of_its_filter(pole, other):
+    assert whitened_power(covariance(pole), covariance(pole, 6.0)) == pytest.approx(3.0)
+    # An autoregression of first order is whitened by the difference to its forecast.
+    by, x = covariance(pole), covariance(other)
+    expected = ((1 + pole**2) * x[0] - 2 * pole * x[1]) / (by[0] * (1 - pole**2))
+    assert whitened_power(by, x) == pytest.approx(expected)
 
 
 def test_the_covariance_of_a_long_signal_is_found():

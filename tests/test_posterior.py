@@ -11,6 +11,8 @@ from pendulum import NOISE, gap_of, pendulum, swings, with_torque
 from hybrid.diagnosis.answer import fixed
 from hybrid.diagnosis.answer.findings import fitted_values
 from hybrid.diagnosis.evidence.candidates import candidate
+from hybrid.diagnosis.evidence.noise import floored, whitened_power
+from hybrid.diagnosis.evidence.noise_model import NoiseModel
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
 from hybrid.diagnosis.explanations.explanation import explain, shares
@@ -313,6 +315,40 @@ def test_noise_is_at_most_what_an_explanation_leaves():
     assert at.update_noise(at.causes)
     np.testing.assert_allclose(at.noise.measured, true, rtol=0.3)
     assert not at.update_noise(at.causes)
+
+
+def test_of_noise_that_is_an_upper_bound_the_most_probable_part_counts():
+    at = search(RUBS)
+    index, least = at.columns([cause(at, RUBS)]), at.evidence.covariances[0]
+    at.noise = NoiseModel(at.evidence, replace(at.prior, solver_error=1e-6))
+    at.noise.law_errors[:] = 0.0
+    for factor in (1.0, 4.0, 16.0):
+        at.evidence.covariances = [factor * least]
+        at.noise.apply(at.rigid)
+        found = at.evidence.solve(index)
+        (squares,) = at.evidence.weighted_squares(index, found.gains)
+        # The noise of the upper band is added to all bands: squares are below one.
+        own = factor * least, floored(factor * least, at.gap.cutoff / at.gap.rate)
+        count = len(at.evidence.rows[0]) * whitened_power(*own[::-1])
+        free = count - at.evidence.determined(found, 0)
+        scale = np.geomspace(1e-3, 1.0, 3000)  # of the noise
+        likely = -0.5 * (free * np.log(scale) + squares / scale - squares)
+        gain = at.noise.gain_if_lower(found)
+        assert gain == pytest.approx(likely.max(), rel=0.05, abs=0.1)
+    assert gain > 100.0
+
+
+def test_errors_of_laws_stay_however_little_is_left():
+    at = search(RUBS)
+    index, before = at.columns([cause(at, RUBS)]), np.inf
+    at.evidence.covariances = [16.0 * x for x in at.evidence.covariances]
+    for error in (0.0, 0.1, 0.3, 1.0):
+        at.noise.law_errors[:] = error
+        at.noise.apply(at.rigid)
+        gain = at.noise.gain_if_lower(at.evidence.solve(index))
+        assert 0.0 <= gain < before
+        before = max(gain, 1e-9)
+    assert gain == 0.0  # nearly all noise is that of laws
 
 
 def test_a_cause_lowers_the_squares_on_samples_that_nothing_was_learnt_from():

@@ -168,25 +168,43 @@ def test_a_cause_that_is_gone_is_not_exchanged():
 
 def test_a_search_has_converged_where_all_causes_help_and_nothing_is_set_anew():
     at = Course([A], reset=[True, False, False], noise=[True, False])
-    at._improve = lambda: at.did.append("improve")
+    at._improve = lambda most: at.did.append("improve")
     at._converge()
     assert at.did == [
         "improve", "reset", "improve", "reset", "noise", "improve", "reset", "noise",
     ]  # fmt: skip
 
 
+def test_a_search_for_few_causes_stops_at_one_more():
+    at = Course([A, B], add=[True, True, True, False])
+    add = at._add
+
+    def grow():
+        at.causes = [*at.causes, cause("xyz"[len(at.causes) - 2], len(at.causes))]
+        return add()
+
+    at._add = grow
+    at._converge(most=3)
+    assert named(at.causes) == "abxy" and at.did == ["add", "add"]
+    at.did, at._add = [], lambda: False
+    at._converge()  # all causes, and no further one
+    assert [x for x in at.did if "exchange " in x and "file" not in x] == [
+        "exchange a", "exchange b", "exchange x", "exchange y",
+    ]  # fmt: skip
+
+
 def test_causes_that_do_not_help_unseen_are_refused():
     gains = {"ab": {"b": 0.0}, "abc": {"b": -1.0, "c": -2.0}}
     at = Course([A, B], gains=gains)
-    at._improve = lambda: None
+    at._improve = lambda most: None
     at._converge()
     assert at.causes == [A] and at.refused == {B.place}
     at = Course([A, B, C], gains=gains)
-    at._improve = lambda: None
+    at._improve = lambda most: None
     at._converge()
     assert at.causes == [A] and at.refused == {B.place, C.place}
     certain = Course([A, B], gains=gains)
-    certain._certain, certain._improve = [B], lambda: None
+    certain._certain, certain._improve = [B], lambda most: None
     certain._converge()
     assert certain.causes == [A, B]
 
@@ -194,7 +212,7 @@ def test_causes_that_do_not_help_unseen_are_refused():
 def run(causes, **answers):
     """Whether a search that found some causes starts anew from the usual ones."""
     at = Course(causes)
-    at._converge = lambda: at.did.append("converge")
+    at._converge = lambda most: at.did.append("converge")
     at._restart = lambda: at.did.append("restart")
     simple, improbable = answers.get("simple", [False]), answers.get("less", [False])
     at._replace_limits = lambda: at._do("limits") or simple.pop(0)

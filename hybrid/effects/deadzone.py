@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.effects import Body, Effect, Memory, Port, Quantity, Scalar
 from hybrid.effects.delivered import delivered_torque, moving
 from hybrid.signals import Motion
@@ -40,31 +40,48 @@ class Deadzone(Effect):
     remedy = "Add the dead zone's width to the commanded torque, in its direction."
 
     def columns(self, motion: Motion, body: Body) -> Array:
-        """Direction of the commanded torque; see :meth:`Effect.columns`.
+        """Direction of the torque; see :meth:`Effect.columns`.
 
-        Where none is known it is that of the delivered one.
+        Where nothing comes through, only the commanded torque shows it. Else the
+        delivered torque shows it too, without the noise of the measured one.
         """
-        torque = motion.tau if motion.asked is None else motion.asked
-        return np.nan_to_num(self._direction(torque[:, self.joints]))[:, :, None]
+        (j,) = self.joints
+        if motion.asked is None:
+            torque = motion.tau[:, j]
+        elif self.values["total"]:
+            torque = motion.asked[:, j]
+        else:
+            torque = delivered_torque(*_signals(motion, j), _moving(motion, j))
+        return np.nan_to_num(self._direction(torque))[:, None, None]
 
     def holds(self, motions: Sequence[Motion]) -> bool:
-        """Whether both torques are outside the zone mostly, or nothing comes through.
+        """Whether torque is outside the zone mostly, or nothing comes through.
 
-        Else its direction looks like a gain. A controller leaves a dead zone soon.
+        Else its direction looks like a gain. So that it is not just that of friction,
+        the torque of the file has to be outside, too.
         """
-        (j,), onset, parts = self.joints, self.values["onset"], []
-        for motion in motions:
-            if motion.asked is None:
-                return True
-            moves = moving(motion.v[:, j])
-            known = motion.v, motion.a, motion.tau, motion.asked
-            parts.append([x[moves, j] for x in known])
-        v, a, tau, asked = np.concatenate(parts, axis=1)
-        if not self.values["total"]:
-            lower = np.minimum(np.abs(tau), np.abs(asked))
-            return bool(np.mean(lower > onset) > _LEAST_OUTSIDE)
+        (j,), onset = self.joints, self.values["onset"]
+        if any(m.asked is None for m in motions):
+            return True
+        moves = [_moving(m, j) for m in motions]
+        each = [np.array(_signals(m, j)) for m in motions]
+        if self.values["total"]:
+            parts = [x[:, use] for x, use in zip(each, moves, strict=True)]
+            return self._nothing_comes_through(*np.concatenate(parts, axis=1))
+        outside = np.concatenate([
+            np.minimum(np.abs(tau), np.abs(delivered_torque(v, a, tau, asked, use)))[use]
+            > onset
+            for (v, a, tau, asked), use in zip(each, moves, strict=True)
+        ])  # fmt: skip
+        return bool(outside.sum() > _LEAST_OUTSIDE * len(outside))
+
+    def _nothing_comes_through(
+        self, v: Array, a: Array, tau: Array, asked: Array
+    ) -> bool:
+        """Whether nothing is delivered in the zone, which a controller leaves soon."""
+        onset = self.values["onset"]
         inside = np.abs(asked) < onset
-        if not 0.0 < inside.mean() < _MOST_INSIDE:
+        if not 0 < inside.sum() < _MOST_INSIDE * len(inside):
             return False
         delivered = np.abs(delivered_torque(v, a, tau, asked, ~inside, np.sign(asked)))
         least, usual = (np.median(delivered[x]) for x in (inside, ~inside))
@@ -89,3 +106,14 @@ class Deadzone(Effect):
 
     def _direction(self, torque: Array) -> Array:
         return np.clip(torque / self.values["onset"], -1.0, 1.0)
+
+
+def _signals(motion: Motion, j: int) -> tuple[Array, Array, Array, Array]:
+    """Speed, acceleration, torque of the file and commanded one of a joint, (N,)."""
+    asked = motion.tau if motion.asked is None else motion.asked
+    return motion.v[:, j], motion.a[:, j], motion.tau[:, j], asked[:, j]
+
+
+def _moving(motion: Motion, j: int) -> Mask:
+    """Good samples at which a joint moves, shape (N,)."""
+    return motion.mask & moving(motion.v[:, j])

@@ -10,6 +10,7 @@ shape (R,) each, its ``rate``, and the ``cutoff`` of its band, both in [Hz].
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg import toeplitz
 
 from hybrid.arrays import Array, Index, Mask
 from hybrid.signals.filters import LOWER_BAND
@@ -58,6 +59,12 @@ class Noise:
     def weight_white(self, white: Array) -> Array:
         """What :meth:`weight` gives of samples, from the whitened ones."""
         return np.asarray(self._transposed @ white)
+
+
+def whitened_power(by: Array, covariance: Array) -> float:
+    """Mean square of a process whitened as another one, by their covariances."""
+    last = _predictors(by)[-1]
+    return float(last @ toeplitz(covariance) @ last)
 
 
 def _predictors(covariance: Array) -> Array:

@@ -8,11 +8,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from hybrid.arrays import Array, Index
-from hybrid.diagnosis.evidence.evidence import Evidence
+from hybrid.diagnosis.evidence.evidence import Evidence, Solution
 from hybrid.diagnosis.evidence.noise import (
     LAGS,
     autocovariance,
     floored,
+    whitened_power,
     without_events,
 )
 from hybrid.diagnosis.prior import Prior
@@ -44,6 +45,8 @@ class NoiseModel:
         self.measured = evidence.noise.copy()
         self.law_errors = np.full(len(evidence.rows), prior.law_error)
         self.covariances: list[Array] = []
+        # Sum of whitened squares, and the part of it that comes from errors, by joint.
+        self._expected, self._errors = np.zeros((2, len(evidence.rows)))
 
     def lower(self, rigid: Index, index: Index) -> bool:
         """Lower noise and errors where an explanation leaves less; whether it does.
@@ -75,29 +78,56 @@ class NoiseModel:
                 lower = True
         return lower
 
+    def gain_if_lower(self, found: Solution) -> float:
+        """Log likelihood that an explanation gains if the noise is lower, [nat].
+
+        The estimate of the noise is an upper bound. With the most probable noise of a
+        joint each sample that determines no gain leaves a square of one. Errors of laws
+        and simulators stay as they are.
+
+        Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415, section 4.2.
+        """
+        evidence, gained = self._evidence, 0.0
+        squares = evidence.weighted_squares(found.index, found.gains)
+        for i, (known, errors) in enumerate(zip(squares, self._errors, strict=True)):
+            whole = self._expected[i]
+            if known >= whole or errors <= 0.0:
+                continue
+            free = max(whole - evidence.determined(found, i), 1.0)
+            part = min(max(known / free, errors), 1.0)
+            gained -= free * np.log(part) + known * (1.0 / part - 1.0)
+        return float(gained) / 2
+
     def apply(self, rigid: Index) -> None:
         """Set the noise of the evidence; ``rigid`` are columns of the background."""
         evidence, gap = self._evidence, self._evidence.gap
         residuals = evidence.residuals(rigid)
         evidence.noise, covariances = self.measured.copy(), list[Array]()
+        band = gap.cutoff / gap.rate
         for i, rows in enumerate(evidence.rows):
-            covariance = evidence.covariances[i].copy()
+            noise = evidence.covariances[i]
+            whole = noise.copy()
             if len(rows):
                 row = np.sort(rows)
                 left = residuals[i][np.argsort(rows)]
-                noise, law = self._law_error(left, row, self.law_errors[i])
+                variance, law = self._law_error(left, row, self.law_errors[i])
                 if gap.subtracted is not None:
                     known = gap.subtracted[row, i]
                     more = self._law_error(known, row, self._prior.real_law_error)
-                    noise, law = noise + more[0], law + more[1]
+                    variance, law = variance + more[0], law + more[1]
                 torque = gap.measured[row, i]
                 torque -= np.mean(torque)
                 solver = self._prior.solver_error**2 * np.mean(torque**2)
                 solver *= autocorrelation_time(torque, row)
-                evidence.noise[i] += noise + solver
-                covariance += law
-                covariance[0] += law[0] + solver
-            covariances.append(floored(covariance, gap.cutoff / gap.rate))
+                evidence.noise[i] += variance + solver
+                whole += law
+                whole[0] += law[0] + solver
+            covariance = floored(whole, band)
+            power = whitened_power(covariance, whole)
+            alone = whitened_power(covariance, floored(noise, band))
+            self._expected[i] = evidence.count[i] * power
+            self._errors[i] = (1.0 - alone) / power
+            covariances.append(covariance)
         self.covariances = covariances
         evidence.set_covariances(covariances)
 

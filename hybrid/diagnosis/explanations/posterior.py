@@ -131,6 +131,7 @@ class Posterior:
         def score() -> float:
             found = self.evidence.solve(self.columns(causes))
             known = found.evidence + self._log_bounded(found, causes)
+            known += self.noise.gain_if_lower(found)
             return known - sum(map(self.odds, causes))
 
         found: float = self._cached(score, "score", frozenset(causes))

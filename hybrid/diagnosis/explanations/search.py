@@ -94,7 +94,7 @@ class Search(Moves):
             progress: Called with each cause that is added.
         """
         self._progress = progress
-        self._converge()
+        self._converge(most=_FEW)
         if len(self.known) < len(self.causes) or len(self.causes) > _FEW:
             self._restart()
         self.beliefs = beliefs(self)
@@ -127,8 +127,9 @@ class Search(Moves):
         """Start from the usual effects, and keep the more probable explanation.
 
         The first search may have added an unknown law, or an effect that nearly fits,
-        in place of two or three other effects. What the new one gains in score has to
-        be more than what it loses in held-out loss.
+        in place of two or three other effects, or have stopped because the gap has many
+        causes. What the new one gains in score has to be more than what it loses in
+        held-out loss.
         """
         before, refused = (self.causes, self.file_error), self.refused
         self.causes, self.refused = self._with_usual([]), frozenset()
@@ -142,6 +143,8 @@ class Search(Moves):
         if then > now or np.any(lost - then < loss - now):
             self.causes, self.refused = before[0], refused
             self.set_file_error(before[1])
+            if len(self.causes) > _FEW:
+                self._converge()  # that search has stopped early
         self.evidence.scale_prior(self.numbers, self.file_error)
 
     def _judged(self, causes: list[Cause], file_error: float) -> tuple[float, Array]:
@@ -177,10 +180,15 @@ class Search(Moves):
         self._remove()
         self._converge()
 
-    def _converge(self) -> None:
-        """Improve the explanation until all of its causes help on test samples."""
+    def _converge(self, most: float = np.inf) -> None:
+        """Improve the explanation until all of its causes help on test samples.
+
+        It stops as soon as there are more causes than ``most``.
+        """
         while True:
-            self._improve()
+            self._improve(most)
+            if len(self.causes) > most:
+                break
             gains = self.unseen_gain(self.causes)
             bad = [c for c in self._doubtful() if gains[c] <= 0]
             if not (bad or self._reset_file_error() or self.update_noise(self.causes)):
@@ -188,11 +196,13 @@ class Search(Moves):
             self.causes = [c for c in self.causes if c not in bad]
             self.refused |= {c.place for c in bad}
 
-    def _improve(self) -> None:
+    def _improve(self, most: float = np.inf) -> None:
         for _ in range(_ROUNDS):
             changed = False
-            while self._add():
+            while len(self.causes) <= most and self._add():
                 changed = True
+            if len(self.causes) > most:
+                break
             for cause in self._doubtful():
                 if cause in self.causes and not self._is_checked(cause):
                     changed |= self._exchange(cause)
