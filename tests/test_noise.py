@@ -119,6 +119,15 @@ def test_gains_that_the_prior_holds_are_not_determined_by_samples():
     assert sum(evidence.determined(held_fast, i) for i in range(2)) < 1e-3
 
 
+def test_squares_without_the_samples_are_those_of_the_samples():
+    *_, evidence, index = problem(2)
+    for chosen in (index[0], np.concatenate(index)):
+        found = evidence.solve(chosen)
+        squares = [evidence.left_squares(found, i) for i in range(2)]
+        expected = evidence.weighted_squares(chosen, found.gains)
+        np.testing.assert_allclose(squares, expected, rtol=1e-9)
+
+
 def test_noise_may_be_weighed_anew():
     gap, *_, evidence, index = problem(5)
     gap.trajectory = np.zeros(len(gap.fold), dtype=int)

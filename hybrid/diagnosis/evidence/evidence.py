@@ -153,9 +153,17 @@ class Evidence(Products):
 
         Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415.
         """
-        here, at = self._here(i, solution.index)
-        A = self._joints[i].across(here, here) * self._weight(i)
+        at, A, _ = self._normal_at(i, solution.index)
         return float(np.sum(A * solution.covariance[np.ix_(at, at)]))
+
+    def left_squares(self, solution: Solution, i: int) -> float:
+        """Squares that a solution leaves at a joint, weighted by the noise.
+
+        They are those of :meth:`weighted_squares`, worked out without the samples.
+        """
+        at, A, b = self._normal_at(i, solution.index)
+        gains, whole = solution.gains[at], self._joints[i].power * self._weight(i)
+        return max(float(whole - 2 * b @ gains + gains @ A @ gains), 0.0)
 
     def residuals(self, index: Index, gains: Array | None = None) -> list[Array]:
         """Residual of each joint, [N·m]; at the most probable gains by default."""

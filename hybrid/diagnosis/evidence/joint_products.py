@@ -45,6 +45,11 @@ class JointProducts:
         self.left, self._weighted_left = left, self._weighted(left)
         self._moment = self._memory[: len(self._moment)] @ self._weighted_left
 
+    @property
+    def power(self) -> float:
+        """Product of the gap with itself."""
+        return float(self.left @ self._weighted_left)
+
     def whiten(self, x: Array) -> Array:
         """Whitened samples, shape (R, ...)."""
         return x if self._noise is None else self._noise.whiten(x)

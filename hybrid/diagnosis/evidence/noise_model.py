@@ -88,9 +88,10 @@ class NoiseModel:
         Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415, section 4.2.
         """
         evidence, gained = self._evidence, 0.0
-        squares = evidence.weighted_squares(found.index, found.gains)
-        for i, (known, errors) in enumerate(zip(squares, self._errors, strict=True)):
-            whole = self._expected[i]
+        for i, (whole, errors) in enumerate(
+            zip(self._expected, self._errors, strict=True)
+        ):
+            known = evidence.left_squares(found, i)
             if known >= whole or errors <= 0.0:
                 continue
             free = max(whole - evidence.determined(found, i), 1.0)

@@ -108,11 +108,20 @@ class Products:
     def normal(self, index: Index) -> tuple[Array, Array]:
         """Weighted normal matrix (k, k) and right-hand side (k,) of some columns."""
         A, b = np.zeros((len(index), len(index))), np.zeros(len(index))
-        for i, joint in enumerate(self._joints):
-            (here, at), weight = self._here(i, index), self._weight(i)
-            A[np.ix_(at, at)] += joint.across(here, here) * weight
-            b[at] += joint.moment(here) * weight
+        for i in range(len(self.rows)):
+            at, own, moment = self._normal_at(i, index)
+            A[np.ix_(at, at)] += own
+            b[at] += moment
         return A, b
+
+    def _normal_at(self, i: int, index: Index) -> tuple[Index, Array, Array]:
+        """Part of a joint in :meth:`normal`, and the positions of its columns."""
+        (here, at), weight, joint = (
+            self._here(i, index),
+            self._weight(i),
+            self._joints[i],
+        )
+        return at, joint.across(here, here) * weight, joint.moment(here) * weight
 
     def normal_by_fold(self, index: Index) -> tuple[Array, Array]:
         """:meth:`normal` of each fold, shapes (F, k, k) and (F, k)."""
