@@ -68,12 +68,15 @@ class Deadzone(Effect):
         if self.values["total"]:
             parts = [x[:, use] for x, use in zip(each, moves, strict=True)]
             return self._nothing_comes_through(*np.concatenate(parts, axis=1))
-        outside = np.concatenate([
-            np.minimum(np.abs(tau), np.abs(delivered_torque(v, a, tau, asked, use)))[use]
-            > onset
-            for (v, a, tau, asked), use in zip(each, moves, strict=True)
-        ])  # fmt: skip
-        return bool(outside.sum() > _LEAST_OUTSIDE * len(outside))
+        lower = np.concatenate(
+            [
+                np.minimum(
+                    np.abs(tau), np.abs(delivered_torque(v, a, tau, asked, use))
+                )[use]
+                for (v, a, tau, asked), use in zip(each, moves, strict=True)
+            ]
+        )
+        return bool((lower > onset).sum() > _LEAST_OUTSIDE * len(lower))
 
     def _nothing_comes_through(
         self, v: Array, a: Array, tau: Array, asked: Array

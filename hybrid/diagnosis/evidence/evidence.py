@@ -174,23 +174,29 @@ class Evidence(Products):
         """Sum of squared gains of some columns over their prior variances."""
         return float(solution.of(columns) ** 2 @ self.precision[columns])
 
-    def held_out_loss(self, index: Index) -> Array:
-        """Cross-validated squared residual over the noise variance, shape (2,).
+    def held_out_residuals(self, index: Index) -> list[Array]:
+        """Cross-validated residual of each joint, in the order of its rows, [N·m].
 
-        Each fold is predicted with the gains of all others. The first loss takes
-        samples as independent, the second one is of whitened samples.
+        Each fold is predicted with the gains of all others.
         """
         G, c = self.normal_by_fold(index)
         A, b = G.sum(axis=0) + np.diag(self.precision[index]), c.sum(axis=0)
         gains = np.linalg.solve(A - G, (b - c)[..., None])[..., 0]
-        lost = np.zeros(2)
-        for i, joint in enumerate(self._joints):
-            left = joint.left.copy()
+        residuals = [x.copy() for x in self.left]
+        for i, left in enumerate(residuals):
             for g, (first, last) in zip(gains, self.fold_edges(i), strict=True):
                 left[first:last] -= self.fitted(i, index, g, slice(first, last))
-            white = joint.whiten(left)
-            lost += left @ left / self.noise[i], white @ white * self._weight(i)
-        return lost
+        return residuals
+
+    def held_out_loss(self, index: Index) -> Array:
+        """Cross-validated squared residual over the noise variance, shape (2,).
+
+        The first loss takes samples as independent, the second one is of whitened
+        samples.
+        """
+        residuals = self.held_out_residuals(index)
+        squares = np.array([x @ x for x in residuals])
+        return np.array([(squares / self.noise).sum(), self._weighted(residuals).sum()])
 
     def screen(
         self,
