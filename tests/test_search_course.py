@@ -269,6 +269,23 @@ def test_the_more_probable_of_two_courses_is_kept_if_it_foretells(
     assert at.did == ["fit", "noise", "remove", *courses]
 
 
+@pytest.mark.parametrize(("causes", "goes_on"), [((A, B, C), 0), ((A, B, C, LAW), 1)])
+def test_a_search_that_had_stopped_goes_on_where_its_end_is_kept(causes, goes_on):
+    at = Course(causes, score={named(causes): 10.0, "z": 1.0})
+    at.file_error_odds, at.set_file_error = lambda x: 0.0, lambda x: None
+    at._with_usual, ends = lambda there: [], []
+
+    def converge():
+        ends.append(named(at.causes))
+        if len(ends) <= 2:
+            at.causes = [cause("z")]
+
+    at._converge = converge
+    at._restart()
+    assert at.causes == list(causes)
+    assert ends == ["", "z", *[named(causes)] * goes_on]
+
+
 def test_unknown_laws_give_way_to_effects_that_help_unseen():
     at = Course([A, B, LAW], gains={"ab": {"b": 0.0}})
     at.whole = [A, B, LAW]

@@ -116,11 +116,8 @@ class Products:
 
     def _normal_at(self, i: int, index: Index) -> tuple[Index, Array, Array]:
         """Part of a joint in :meth:`normal`, and the positions of its columns."""
-        (here, at), weight, joint = (
-            self._here(i, index),
-            self._weight(i),
-            self._joints[i],
-        )
+        here, at = self._here(i, index)
+        joint, weight = self._joints[i], self._weight(i)
         return at, joint.across(here, here) * weight, joint.moment(here) * weight
 
     def normal_by_fold(self, index: Index) -> tuple[Array, Array]:
