@@ -46,12 +46,8 @@ class Deadzone(Effect):
         delivered torque shows it too, without the noise of the measured one.
         """
         (j,) = self.joints
-        if motion.asked is None:
-            torque = motion.tau[:, j]
-        elif self.values["total"]:
-            torque = motion.asked[:, j]
-        else:
-            torque = delivered_torque(*_signals(motion, j), _moving(motion, j))
+        total = bool(self.values["total"])
+        torque = _signals(motion, j)[-1] if total else _delivered(motion, j)
         return np.nan_to_num(self._direction(torque))[:, None, None]
 
     def holds(self, motions: Sequence[Motion]) -> bool:
@@ -64,18 +60,16 @@ class Deadzone(Effect):
         if any(m.asked is None for m in motions):
             return True
         moves = [_moving(m, j) for m in motions]
-        each = [np.array(_signals(m, j)) for m in motions]
         if self.values["total"]:
-            parts = [x[:, use] for x, use in zip(each, moves, strict=True)]
-            return self._nothing_comes_through(*np.concatenate(parts, axis=1))
-        lower = np.concatenate(
-            [
-                np.minimum(
-                    np.abs(tau), np.abs(delivered_torque(v, a, tau, asked, use))
-                )[use]
-                for (v, a, tau, asked), use in zip(each, moves, strict=True)
+            parts = [
+                np.array(_signals(m, j))[:, use]
+                for m, use in zip(motions, moves, strict=True)
             ]
-        )
+            return self._nothing_comes_through(*np.concatenate(parts, axis=1))
+        lower = np.concatenate([
+            np.minimum(np.abs(m.tau[:, j]), np.abs(_delivered(m, j)))[use]
+            for m, use in zip(motions, moves, strict=True)
+        ])  # fmt: skip
         return bool((lower > onset).sum() > _LEAST_OUTSIDE * len(lower))
 
     def _nothing_comes_through(
@@ -112,9 +106,17 @@ class Deadzone(Effect):
 
 
 def _signals(motion: Motion, j: int) -> tuple[Array, Array, Array, Array]:
-    """Speed, acceleration, torque of the file and commanded one of a joint, (N,)."""
+    """Speed, acceleration, torque of the file and commanded one of a joint, (N,).
+
+    Where no commanded torque is known it is that of the file.
+    """
     asked = motion.tau if motion.asked is None else motion.asked
     return motion.v[:, j], motion.a[:, j], motion.tau[:, j], asked[:, j]
+
+
+def _delivered(motion: Motion, j: int) -> Array:
+    """Delivered torque of a joint, shape (N,), [N·m]."""
+    return delivered_torque(*_signals(motion, j), _moving(motion, j))
 
 
 def _moving(motion: Motion, j: int) -> Mask:

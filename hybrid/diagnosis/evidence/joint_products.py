@@ -47,7 +47,7 @@ class JointProducts:
 
     @property
     def power(self) -> float:
-        """Product of the gap with itself."""
+        """Product of the gap with itself, weighted by the noise's precision."""
         return float(self.left @ self._weighted_left)
 
     def whiten(self, x: Array) -> Array:

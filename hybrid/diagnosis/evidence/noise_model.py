@@ -45,7 +45,7 @@ class NoiseModel:
         self.measured = evidence.noise.copy()
         self.law_errors = np.full(len(evidence.rows), prior.law_error)
         self.covariances: list[Array] = []
-        # Sum of whitened squares, and the part of it that comes from errors, by joint.
+        # Expected sum of whitened squares, and the part of it from errors, shape (n,).
         self._expected, self._errors = np.zeros((2, len(evidence.rows)))
 
     def lower(self, rigid: Index, index: Index) -> bool:
@@ -86,7 +86,7 @@ class NoiseModel:
         return lower
 
     def gain_if_lower(self, found: Solution) -> float:
-        """Log likelihood that an explanation gains if the noise is lower, [nat].
+        """Log likelihood that a solution gains if the noise is lower, [nat].
 
         The estimate of the noise is an upper bound. With the most probable noise of a
         joint each sample that determines no gain leaves a square of one. Errors of laws

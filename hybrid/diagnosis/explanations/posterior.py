@@ -7,7 +7,8 @@ odds against each cause:
     log p(gap | causes) + Σ log p(cause).
 
 The noise is the residual of a flexible regression, or of the explanation where that is
-smaller, plus the errors of laws and simulators.
+smaller, plus the errors of laws and simulators. As it is an upper bound, the likelihood
+is at the most probable noise below it.
 
 Source: MacKay 1992, doi 10.1162/neco.1992.4.3.415 (evidence and its Occam factor).
 """

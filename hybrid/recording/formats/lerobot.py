@@ -48,8 +48,8 @@ def read_lerobot(folder: Path, only: Path | None = None) -> Iterator[tuple[LogTa
             f"{folder}: LeRobot dataset {version[:20]}; valid are {', '.join(VERSIONS)}"
         )
     check_parquet(folder)
-    every = sorted((folder / "data").rglob("*.parquet"))[:_MOST_FILES]
-    files = [only] if only else every
+    data = folder / "data"
+    files = [only] if only else sorted(data.rglob("*.parquet"))[:_MOST_FILES]
     if not files:
         raise RecordingError(f"{folder}: no Parquet files in data/")
     for file in files:
