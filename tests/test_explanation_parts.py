@@ -79,9 +79,9 @@ class Steps(Search):
     def score(self, causes):
         return self.scores["".join(sorted(c.place[0] for c in causes))]
 
-    def held_out_loss(self, causes):
+    def held_out_losses(self, causes):
         names = "".join(sorted(c.place[0] for c in causes))
-        return np.array(self.losses.get(names, (-self.score(causes),) * 2))
+        return np.atleast_2d(self.losses.get(names, (-self.score(causes),) * 2))
 
     def is_isolated(self, cause, causes):
         return cause in self.once
@@ -120,6 +120,19 @@ def test_causes_are_taken_that_lower_both_losses(loss, taken):
     assert at.is_cross_validated([A])
     at.once, at.scores["ab"] = [B], -2.0
     assert not at.is_cross_validated([A, B])
+
+
+@pytest.mark.parametrize(("last", "taken"), [(1.1, True), (1.4, False)])
+def test_an_exchange_lowers_the_loss_by_more_than_its_standard_error(last, taken):
+    """One fold falls by 0.8, and one rises."""
+    folds = np.array([[1.0, 1.0], [1.0, 1.0]])
+    other = np.array([[0.2, 0.2], [last, last]])
+    losses = {"": folds, "a": folds, "b": other}
+    at = Steps({"": 0.0, "a": 0.0, "b": 9.0}, losses)
+    at.causes = [A]
+    assert at.is_cross_validated([B]) == taken
+    at.causes = []
+    assert at.is_cross_validated([B])  # odds speak against more causes already
 
 
 def test_what_a_new_cause_makes_superfluous_is_removed_weakest_first():

@@ -248,8 +248,8 @@ class _TimeEvidence:
         An event that happens once may look like either.
         """
         every = np.arange(self._evidence.size)
-        now, then = map(self._evidence.held_out_loss, (self._base, every))
-        return bool(np.all(then < now))
+        now, then = map(self._evidence.held_out_losses, (self._base, every))
+        return bool(np.all(then.sum(axis=0) < now.sum(axis=0)))
 
 
 def _nuisances(gap: Gap) -> list[Candidate]:

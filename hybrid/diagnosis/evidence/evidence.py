@@ -188,15 +188,19 @@ class Evidence(Products):
                 left[first:last] -= self.fitted(i, index, g, slice(first, last))
         return residuals
 
-    def held_out_loss(self, index: Index) -> Array:
-        """Cross-validated squared residual over the noise variance, shape (2,).
+    def held_out_losses(self, index: Index) -> Array:
+        """Cross-validated squares of each fold over the noise variance, shape (F, 2).
 
         The first loss takes samples as independent, the second one is of whitened
         samples.
         """
-        residuals = self.held_out_residuals(index)
-        squares = np.array([x @ x for x in residuals])
-        return np.array([(squares / self.noise).sum(), self._weighted(residuals).sum()])
+        losses = np.zeros((len(self.folds), 2))
+        for i, left in enumerate(self.held_out_residuals(index)):
+            weights = 1.0 / self.noise[i], self._weight(i)
+            for k, x in enumerate((left, self._joints[i].whiten(left))):
+                parts = [x[first:last] for first, last in self.fold_edges(i)]
+                losses[:, k] += weights[k] * np.array([y @ y for y in parts])
+        return losses
 
     def screen(
         self,

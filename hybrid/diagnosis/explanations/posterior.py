@@ -195,17 +195,23 @@ class Posterior:
         return found
 
     def held_out_loss(self, causes: Sequence[Cause]) -> Array:
-        """Cross-validated loss of some causes, shape (2,), [nat].
+        """Cross-validated loss of some causes, shape (2,), [nat]."""
+        return np.asarray(self.held_out_losses(causes).sum(axis=0))
 
-        See :meth:`.Evidence.held_out_loss`; the log prior of the background is added.
+    def held_out_losses(self, causes: Sequence[Cause]) -> Array:
+        """The same of each fold, shape (F, 2), [nat].
+
+        See :meth:`.Evidence.held_out_losses`; the log prior of the background is added,
+        in equal parts.
         """
 
-        def loss() -> Array:
+        def losses() -> Array:
             evidence, columns = self.evidence, self.columns(causes)
+            squares = evidence.held_out_losses(columns)
             prior = evidence.prior_squares(evidence.solve(columns), self.rigid)
-            return np.asarray((evidence.held_out_loss(columns) + prior) / 2)
+            return np.asarray((squares + prior / len(squares)) / 2)
 
-        return np.asarray(self._cached(loss, "held-out loss", frozenset(causes)))
+        return np.asarray(self._cached(losses, "held-out loss", frozenset(causes)))
 
     def is_isolated(
         self, cause: Cause, causes: Sequence[Cause], test: OtherSamples | None = None
