@@ -96,25 +96,25 @@ def test_wrong_columns_are_an_error_and_leave_nothing(folder, tmp_path, capsys):
     assert not (tmp_path / "new").exists()
 
 
-def test_metres_read_as_millimetres_are_suspected(folder, tmp_path, capsys):
-    text = (folder / "poses.csv").read_text().replace("[mm]", "[m]")
-    (tmp_path / "poses.csv").write_text(text)
-    command = f"calibrate --robot {ARM} --poses {tmp_path}/poses.csv"
-    assert main([*command.split(), "--out", f"{tmp_path}/new"]) == 0
-    assert "check units and order" in capsys.readouterr().err
-
-
-def test_wrong_columns_are_suspected_before_the_long_fit(
-    folder, tmp_path, capsys, monkeypatch
+@pytest.mark.parametrize(
+    ("was", "read", "code"),
+    [
+        ("[mm]", "[m]", 2),
+        ("q1,q2", "q2,q1", 2),
+        ("q1,q2,q3,q4,q5,q6", "q1,q2,q3,q4,q6,q5", 130),  # the hand alone is wrong
+    ],
+)
+def test_wrong_columns_are_refused_or_suspected_before_the_long_fit(
+    folder, tmp_path, capsys, monkeypatch, was, read, code
 ):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("hybrid.cli.calibrate.calibrate", interrupted)
     names, rows = (folder / "poses.csv").read_text().split("\n", 1)
-    names = names.replace("q1,q2", "q2,q1")
-    (tmp_path / "poses.csv").write_text(f"{names}\n{rows}")
+    assert was in names
+    (tmp_path / "poses.csv").write_text(f"{names.replace(was, read)}\n{rows}")
     command = f"calibrate --robot {ARM} --poses {tmp_path}/poses.csv"
-    assert main([*command.split(), "--out", f"{tmp_path}/new"]) == 130
+    assert main([*command.split(), "--out", f"{tmp_path}/new"]) == code
     assert "check units and order" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()

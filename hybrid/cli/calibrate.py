@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.calibration import (
+    Measurements,
     calibrate,
     choose_poses,
     cross_validate,
@@ -17,7 +18,7 @@ from hybrid.calibration import (
 )
 from hybrid.cli.shared import options
 from hybrid.cli.shared.screen import Screen
-from hybrid.errors import warn
+from hybrid.errors import CalibrationError, warn
 from hybrid.recording.write import write_columns
 from hybrid.report import write_results
 from hybrid.report.calibration import (
@@ -50,6 +51,7 @@ examples:
 
 _CANDIDATES = 1000  # random poses to choose from
 _FAR = 0.05  # m: a larger error means wrong units or columns
+_WHOLLY = 0.5  # of what measurements vary by: a larger error, and no file explains them
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -116,9 +118,7 @@ def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
     robust = not args.keep_outliers
     with screen.working(f"calibrating {robot.name} from {data.size} poses"):
         # Before the long fit, which wrong columns make minutes long.
-        _warn_of_wrong_columns(
-            nominal_errors(robot, data, free=args.free, robust=robust)
-        )
+        _check_columns(data, nominal_errors(robot, data, free=args.free, robust=robust))
         calibration = calibrate(robot, data, free=args.free, robust=robust)
         errors = cross_validate(robot, data, free=args.free, robust=robust)
     content = content_from_calibration(calibration, errors)
@@ -134,11 +134,20 @@ def _calibrate(args: Namespace, robot: Robot, screen: Screen) -> None:
     screen.say(f"robot: {written}, with {summary.name}")
 
 
-def _warn_of_wrong_columns(errors: Mapping[str, Array]) -> None:
+def _check_columns(data: Measurements, errors: Mapping[str, Array]) -> None:
+    """Warn of wrong units or columns, and refuse what the nominal arm misses wholly."""
     for kind in ("position", "distance"):
-        size = float(np.sqrt(np.mean(errors.get(kind, np.zeros(1)) ** 2)))
-        if size > _FAR:
-            warn(
-                f"the nominal arm misses the measurements by {1e3 * size:.0f} mm; "
-                "check units and order of the columns"
-            )
+        if kind not in errors:
+            continue
+        size = float(np.sqrt(np.mean(errors[kind] ** 2)))
+        if size <= _FAR:
+            continue
+        squares = np.nanvar(getattr(data, kind), axis=0)
+        spread = float(np.sqrt(squares.sum() / squares.shape[0]))
+        fault = (
+            f"the nominal arm misses the measurements by {1e3 * size:.0f} mm, and they "
+            f"vary by {1e3 * spread:.0f} mm; check units and order of the columns"
+        )
+        if size > _WHOLLY * spread:
+            raise CalibrationError(f"{data.source}: {fault}")
+        warn(fault)
