@@ -252,6 +252,16 @@ def test_a_file_of_a_lerobot_dataset_has_its_episodes_and_joints(
     for one, same in zip(found, every, strict=True):
         assert one.joints == same.joints
         np.testing.assert_array_equal(one.q, same.q)
+    # Copied away from the names of its joints, a file still has its episodes.
+    copied = files[0].rename(tmp_path / "copied.parquet")
+    with pytest.raises(RecordingError, match=r"episode 0.*unknown joints: number 6"):
+        taken(read_all, copied, torque=False)
+    with pytest.warns(HybridWarning, match="units are not in a LeRobot dataset"):
+        own = read_all(copied, torque=False, joints=(*ARM, "gripper"))
+    for one, same in zip(own, every, strict=False):
+        assert one.reading.name == same.reading.name
+        np.testing.assert_array_equal(one.q[:, :6], same.q)
+    copied.rename(files[0])
     # A table beside the dataset's own files is a table.
     own = folder / "own.parquet"
     whole = logs.parquet.read_table(files[0])

@@ -15,7 +15,12 @@ import numpy as np
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
 from hybrid.recording.formats.frame import table_of_frame
-from hybrid.recording.formats.parquet import arrow_table, check_parquet, read_parquet
+from hybrid.recording.formats.parquet import (
+    arrow_table,
+    check_parquet,
+    column_names,
+    read_parquet,
+)
 from hybrid.recording.table import LogTable
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
@@ -30,10 +35,17 @@ def is_dataset(folder: Path) -> bool:
 
 
 def read_parquet_or_episodes(path: Path) -> Iterable[tuple[LogTable]]:
-    """Read a Parquet file; one of a dataset has its episodes and names of joints."""
+    """Read a Parquet file; one of a dataset has its episodes and names of joints.
+
+    One that was copied away from its dataset has its episodes.
+    """
     above = path.absolute().parents
     folders = [x for x in above if x / "data" in above and is_dataset(x)]
-    return read_lerobot(folders[0], path) if folders else read_parquet(path)
+    if folders:
+        return read_lerobot(folders[0], path)
+    check_parquet(path)
+    episodes = {_EPISODE, "timestamp"} <= {*column_names(path)}
+    return ((x,) for x in _episodes(path)) if episodes else read_parquet(path)
 
 
 def read_lerobot(folder: Path, only: Path | None = None) -> Iterator[tuple[LogTable]]:

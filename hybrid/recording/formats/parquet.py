@@ -25,6 +25,14 @@ def read_parquet(path: Path) -> list[tuple[LogTable]]:
     return [(table_of_frame(arrow_table(path), str(path), kind="Parquet"),)]
 
 
+def column_names(path: Path) -> list[str]:
+    """Names of a file's columns."""
+    from pyarrow import parquet
+
+    with as_recording_error(path, "Parquet file"):
+        return list(parquet.read_schema(path).names)
+
+
 def arrow_table(path: Path, begin: tuple[str, ...] = ("",)) -> Any:
     """Read the columns of numbers, dates, texts and their lists.
 
