@@ -2,5 +2,6 @@
 
 from hypothesis import settings
 
-settings.register_profile("untimed", deadline=None)
+# "make fuzz" tries more.
+settings.register_profile("untimed", deadline=None, max_examples=40)
 settings.load_profile("untimed")

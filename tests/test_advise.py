@@ -181,6 +181,7 @@ def test_every_candidate_has_columns_along_decimated_motions():
             assert x.shape == (len(gap.left), len(c.std)), (c.place, j)
 
 
+@pytest.mark.study
 def test_laws_that_are_one_while_moving_are_never_apart():
     result, _ = poorly_recorded("torque_offset", 1, 0.3)
     assert {"torque_offset", "asymmetric_friction"} <= class_at(result, 1)

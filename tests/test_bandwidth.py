@@ -95,6 +95,7 @@ def load_model_again(model):
         return DynamicModel.load(Path(folder) / "model.json")
 
 
+@pytest.mark.study
 def test_identification_finds_the_friction_behind_a_filter():
     robot, logs = arm("planar"), filtered_logs()
     fit, told = quiet(identify, robot, logs[:3], stages=("rigid",))
@@ -161,6 +162,7 @@ def test_a_diagnosis_finds_the_friction_behind_a_filter():
     assert any("filtered at about" in text for text in result.diagnosis.warnings)
 
 
+@pytest.mark.study
 def test_repeats_of_a_healthy_arm_show_no_change_behind_a_filter():
     robot, logs = arm("planar"), filtered_logs()
     fit, _ = quiet(identify, robot, logs[:2], stages=("rigid",))
@@ -182,6 +184,7 @@ def friction_of(effect, log):
     return effect.values["level"] * np.sign(v) * (np.arange(2) == effect.joints[0])
 
 
+@pytest.mark.study
 def test_a_push_is_found_behind_a_filter():
     """At the rate of such a gap a sample is longer than a chunk of time."""
     first, *rest = filtered_logs()

@@ -35,6 +35,7 @@ def model():
     return identify(ROBOT, logs(), stages=("friction",)).model
 
 
+@pytest.mark.study
 def test_what_the_model_could_not_have_had_may_be_no_change(model):
     """Of a real TX40, own logs show the ripple and the delay that new ones show."""
 

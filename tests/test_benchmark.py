@@ -109,6 +109,7 @@ def test_library_effects_are_dealt_with_or_without_a_trace_in_torque_never_both(
 # Robots
 
 
+@pytest.mark.study
 @given(st.floats(0.0, 0.05), st.integers(0, 99))
 def test_a_file_that_is_a_little_off_stays_physical(share, seed):
     robot = Robot.load("models/coman_like.xml")
@@ -181,6 +182,7 @@ def test_a_drawn_effect_has_the_size_asked_for_within_its_bounds(rig, name):
     assert rig.sizes(effect).max() == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.study
 def test_an_effect_that_would_have_to_be_absurd_is_not_made(rig):
     gain = effect_classes()["torque_gain"]((0,), {"gain": 0.1})
     assert rig.plausible(gain)
@@ -216,6 +218,7 @@ def test_an_effect_is_no_background_and_no_absurdity(rig):
     assert not rig.plausible(lump.at({"mass": 0.6 * mass}))
 
 
+@pytest.mark.study
 def test_cogging_of_mujocos_motor_is_the_ripple_of_the_library(arm):
     """Two implementations of one law move an arm alike."""
     motor = INDEPENDENT["cogging_motor"](
@@ -422,6 +425,7 @@ def test_the_motion_error_falls_as_far_as_with_the_truth():
     assert motion_error(nothing, [RIPPLE, STRIBECK]).share == 0.0
 
 
+@pytest.mark.study
 def test_what_is_too_short_has_no_motion_error():
     robot = load_arm(PLANAR)
     plant = Plant(robot, [Viscous((0,), {"coefficient": 2.0})], nominal=robot)

@@ -8,6 +8,7 @@ import pytest
 from arms import MODELS, planar_of_xacro, public_arm, random_arm, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from marks import studied
 from mh6 import steps_from_dh
 from scipy.spatial.transform import Rotation
 
@@ -192,7 +193,7 @@ def test_derivatives_agree_with_pinocchio():
             np.testing.assert_allclose(moves, expected[:3, k], atol=1e-12)
 
 
-@pytest.mark.parametrize("outliers", [0.0, 0.05])
+@pytest.mark.parametrize("outliers", [0.05, *studied(0.0)])
 def test_errors_stay_within_a_fifth_of_the_cramer_rao_bound(outliers):
     q = random_poses(coman(), 50, np.random.default_rng(3))
     chain = disturbed(coman().chain)
@@ -242,14 +243,14 @@ def coverage(kind, poses, seeds, *, shared=0.0):
     return np.mean(inside), rejected
 
 
+@pytest.mark.study
 def test_intervals_hold_where_the_points_of_a_pose_share_its_errors():
     inside, _ = coverage("reflectors", 40, 20, shared=1e-4)
     assert 0.92 < inside < 0.98
 
 
-@pytest.mark.parametrize(
-    "kind", ["position", pytest.param("distance", marks=pytest.mark.study)]
-)
+@pytest.mark.study
+@pytest.mark.parametrize("kind", ["position", "distance"])
 def test_few_good_poses_are_all_kept_and_their_intervals_hold(kind):
     inside, rejected = coverage(kind, 24, 15)
     assert 0.91 < inside < 0.99

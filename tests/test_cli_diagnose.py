@@ -236,6 +236,7 @@ def test_what_cannot_be_told_apart_is_said_with_what_to_run_next(tmp_path, capsy
     assert not first["file"] or (tmp_path / "out" / first["file"]).is_file()
 
 
+@pytest.mark.study
 def test_effects_of_a_users_own_take_part(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(registry, "_added", {})
     (tmp_path / "mine.py").write_text(OWN, "utf-8")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from arms import LIFT, MODELS
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
+from marks import studied
 from simulated import arm, quiet
 
 from hybrid.diagnosis.advice.advise import advise
@@ -206,7 +207,7 @@ class TestGap:
         told = {kind.id} if time > 0.02 else {Delay.id, ActuatorLag.id}
         assert {*finding.alternatives} == told
 
-    @pytest.mark.parametrize("time", [0.005, 0.02, 0.04])
+    @pytest.mark.parametrize("time", [0.02, *studied(0.005, 0.04)])
     def test_the_columns_of_a_lag_turn_round_where_dry_friction_does(self, time):
         robot, lag = arm("coman_like"), ActuatorLag((2,), {"time": time})
         plant = Plant(robot, [lag], nominal=robot, noise=Noise.none(robot.size))
@@ -377,6 +378,7 @@ class TestCause:
             joint = planar().diagnosis.joints.index(f.joints[0])
             assert shrink.after == pytest.approx(floor[joint], rel=0.15)
 
+    @pytest.mark.study
     def test_placeholders_of_friction_are_too_much_friction(self):
         """Torque of an arm that hardly rubs is as small as its noise at times."""
         robot = arm("planar")
@@ -660,6 +662,7 @@ class TestSilence:
         assert alone.verdict == "not_excited" and alone.findings == ()
 
 
+@pytest.mark.study
 def test_friction_of_a_drive_with_another_gain_is_that_of_the_joint():
     """The drive reports 70 % of its torque, and so of its friction."""
     robot, recordings = logs([Viscous((1,), {"coefficient": 2.0})])
@@ -897,6 +900,7 @@ class TestMakeshifts:
         assert finding.parameters[0].value == pytest.approx(0.0007, rel=0.15)
 
 
+@pytest.mark.study
 def test_units_are_those_of_a_joint_that_slides(tmp_path):
     """Friction of a lift is a force, and the replay misses it by metres."""
     path = tmp_path / "lift.xml"

@@ -161,6 +161,7 @@ def test_latency_and_gains_of_one_joint_are_told_apart():
     assert soft["stiffness"] == pytest.approx(-0.3, abs=0.05)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("effect", [LATE, SOFT])
 def test_an_effect_left_out_of_the_library_is_not_named(effect):
     robot, recordings = logged(effect)
@@ -185,12 +186,14 @@ def test_effects_elsewhere_are_no_fault_of_the_servo(effects):
     assert link_of(*logged(*effects)).findings == ()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
 def test_how_a_plant_is_integrated_or_sampled_is_no_fault_of_the_servo(integrator):
     robot, recordings = logged(integrator=integrator, control_rate=500.0)
     assert link_of(robot, recordings).findings == ()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("channel", ["q", "tau"])
 def test_a_channel_logged_late_is_no_latency_of_commands(channel):
     robot, recordings = logged()

@@ -96,6 +96,7 @@ def program(criterion, observation, kind=MotionProgram, **options):
     )
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("weighted", [False, True])
 def test_iterated_designs_improve_with_each_motion_and_keep_the_limits(weighted):
     observation = observe(PLANAR.chain, covariance=np.diag([4.0, 1.0]))

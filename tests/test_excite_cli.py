@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("excite")
     command = f"excite --robot {PLANAR} {QUICK} --trajectories 2 --rate 100 "
     command += f"--fill 0.7 --out {out} --json {out}/all.json"
-    assert main(command.split()) == 0
+    assert main(command.split()) == 0  # a warning would be an error
     return out
 
 
@@ -136,5 +136,3 @@ def test_a_motion_of_an_earlier_run_is_warned_of(tmp_path, capsys):
     assert main(command.split()) == 0
     said = capsys.readouterr().err
     assert "also holds reference_2.csv, not of this run" in said
-    assert main(command.replace("excite", "excite --trajectories 2").split()) == 0
-    assert "not of this run" not in capsys.readouterr().err

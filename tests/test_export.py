@@ -617,6 +617,7 @@ sys.exit(any([os.waitpid(child, 0)[1] for child in children]))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs POSIX")
+@pytest.mark.study
 def test_who_reads_while_ten_export_and_save_finds_one_whole_export(tmp_path):
     model = model_of(Robot.load(MODELS / "planar.xml"))
     folder, path = tmp_path / "out", tmp_path / "model.json"

@@ -234,6 +234,7 @@ def test_a_motion_that_is_masked_altogether_is_left_out():
         identify(robot, [masked], cutoff=20.0, **RIGID)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("law", [Backlash, Elasticity])
 def test_play_and_softness_that_an_arm_does_not_have_are_not_found(law):
     """Gains stay in their bounds while the problem is made linear about them."""

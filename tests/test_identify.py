@@ -126,7 +126,7 @@ def linear():
     """Fits of an arm with linear friction, its truth, and the logs of the first."""
     robot = arm("coman_like")
     fits = []
-    for seed in range(3):
+    for seed in range(2):
         logs = simulate(robot, trajectories=3, duration=8, seed=seed)
         fits.append(quiet(identify, robot, logs, stages=("rigid",))[0])
     base = fits[0].model.base

@@ -72,6 +72,7 @@ def test_a_mass_from_torque_is_as_doubtful_as_the_gains_of_the_drives(result):
     assert "--known-mass" in finding.note and "17%" in finding.note
 
 
+@pytest.mark.study
 def test_a_known_payload_tells_the_scale_for_the_command(model, tmp_path, capsys):
     model.save(tmp_path / "model.json")
     for k, x in enumerate(logs([PAYLOAD], seed=3)):
@@ -103,6 +104,7 @@ def test_a_known_payload_tells_the_scale_for_the_command(model, tmp_path, capsys
         assert said.replace("0.90", f"{scale['value']:.3f}") in text
 
 
+@pytest.mark.study
 def test_a_right_scale_is_one():
     loaded = logs([PAYLOAD], seed=3, scale=1.0)
     found = examine(healthy(1.0), loaded, known_mass={"elbow": 3.0}).diagnosis

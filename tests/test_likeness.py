@@ -63,8 +63,11 @@ def test_another_gravity_than_that_of_the_file_is_told(name, gravity):
     assert "-9.8) m/s²" in text
 
 
-@pytest.mark.parametrize("name", [*ARMS, "scara"])
-@pytest.mark.parametrize("kind", ["", "payload", "spring", "tilt"])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [*(("", name) for name in ARMS), ("payload", "scara"), ("spring", "planar")]
+    + [("tilt", "coman_like"), pytest.param("spring", "ur5", marks=pytest.mark.study)],
+)
 def test_one_fault_does_not_make_another_arm(name, kind):
     assert said(*logs(name, kind)) == ""
 

@@ -129,6 +129,7 @@ def test_with_noise_the_gap_still_shrinks_and_windows_are_not_seen_in_fitting():
     assert seen.isdisjoint(m.source for m in replay.motions)
 
 
+@pytest.mark.study
 def test_blocks_of_one_log_are_replayed_where_none_was_learnt_from():
     scored = explained(("coulomb",), ("coulomb",), trajectories=1)
     replay, learn = Replay(scored), split(scored.gap)
@@ -148,6 +149,7 @@ def test_terms_are_told_apart_by_what_each_removes():
         assert motion_shrink(replay, [k], rng).removed > 0.8
 
 
+@pytest.mark.study
 def test_a_term_that_is_not_there_does_not_pass():
     replay = Replay(explained(("coulomb",), ("coulomb",)))
     wrong = effect_of("armature", inertia=2.0)
@@ -156,6 +158,7 @@ def test_a_term_that_is_not_there_does_not_pass():
     assert error(replay, [*rivals, wrong]) > 3 * error(replay, rivals)
 
 
+@pytest.mark.study
 def test_only_windows_count_in_which_a_term_acts():
     scored = explained(("contact",), ("contact",))
     replay = Replay(scored)

@@ -110,18 +110,21 @@ def planar():
     return chain, {row.name: row.rms for row in rows}
 
 
+@pytest.mark.study
 def test_the_mixture_learns_on_other_motions_what_no_effect_describes(planar):
     _, rms = planar
     before, after = rms["published + friction"], rms["published + mixture"]
     assert (after < before).all() and after.mean() < 0.8 * before.mean()
 
 
+@pytest.mark.study
 def test_iteration_lowers_the_error_on_other_motions_and_settles(planar):
     chain, rms = planar
     assert chain.settled and 1 < chain.rounds
     assert rms["published, iterated"].mean() <= rms["published + mixture"].mean()
 
 
+@pytest.mark.study
 def test_every_gain_of_the_chain_is_friction(planar):
     chain, _ = planar
     laws = [

@@ -115,6 +115,7 @@ def test_what_the_data_do_not_tell_has_an_endless_interval():
     assert fit.at_bound[3] or high[1] / low[1] > 3  # no second term, no shape of it
 
 
+@pytest.mark.study
 def test_intervals_cover_the_truth_under_correlated_noise():
     inside, t = [], np.linspace(0, 1, 3000)
 

@@ -199,6 +199,7 @@ def test_an_arm_like_its_file_has_nothing_worth_a_step_of_the_encoder(folder):
     assert (fit.before < 4 * TICK).all()
 
 
+@pytest.mark.study
 def test_a_late_command_is_found_with_its_delay(folder):
     fit = found(folder, delay=0.06)
     late = {x.joint: x for x in fit.findings if x.effect == "command_latency"}
@@ -258,6 +259,7 @@ def test_play_of_a_gear_is_found_and_measured(folder):
     assert any("no place for the play of shoulder" in x for x in fit.notes)
 
 
+@pytest.mark.study
 def test_a_number_known_to_be_right_is_never_fitted(folder):
     gain = np.zeros((2, 10))
     gain[:, 0] = 25.0, 12.0
@@ -622,6 +624,7 @@ def test_servos_of_a_urdf_have_no_limit_but_that_of_the_drive(tmp_path):
     np.testing.assert_allclose(model.dof_damping, drive["damping"])
 
 
+@pytest.mark.study
 def test_a_joint_that_never_moves_keeps_the_numbers_of_the_file(robot):
     logs = []
     for k in range(2):
@@ -706,12 +709,17 @@ def test_coordinates_lead_back_to_the_numbers(numbers):
     assert drive.moved(drive.coordinates).values == pytest.approx(values)
 
 
-def test_the_verbs_write_a_simulator_and_numbers(folder, tmp_path, capsys):
+def asked_of(folder, logs):
+    """Options of a verb with two short logs, which are written."""
     for k in range(2):
-        write(log(k, seconds=3.0), tmp_path / "logs" / f"{k}.csv")
-    robot, logs = arm(folder).path, str(tmp_path / "logs")
+        write(log(k, seconds=3.0), logs / f"{k}.csv")
+    return ["--robot", arm(folder).path, "--recordings", str(logs)]
+
+
+@pytest.mark.study
+def test_identify_writes_a_simulator_and_numbers(folder, tmp_path, capsys):
     fixed, numbers = tmp_path / "fixed.xml", tmp_path / "fit.json"
-    asked = ["--robot", robot, "--recordings", logs]
+    asked = asked_of(folder, tmp_path / "logs")
     code = main(["identify", *asked, "--out", str(fixed), "--json", str(numbers)])
     assert code == 0, capsys.readouterr().err
     mujoco.MjModel.from_xml_path(str(fixed))
@@ -719,6 +727,10 @@ def test_the_verbs_write_a_simulator_and_numbers(folder, tmp_path, capsys):
     assert {x["joint"] for x in content["gap"]} == {"shoulder", "elbow"}
     assert content["schema"] == "hybrid.servo/1"
     assert content["scale"] == "masses of the file"
+
+
+def test_diagnose_writes_a_simulator_with_a_known_mass(folder, tmp_path, capsys):
+    asked = asked_of(folder, tmp_path / "logs")
     out, scale = tmp_path / "found", ["--known-mass", "elbow=0.6"]
     assert main(["diagnose", *asked, *scale, "--out", str(out)]) == 0
     twice = json.loads((out / "diagnosis.json").read_text())

@@ -30,6 +30,7 @@ def test_recursive_least_squares_ends_at_the_fading_least_squares_solution(data)
     assert np.isnan(found[[5, 6]]).all()
 
 
+@pytest.mark.study
 def test_the_cost_of_the_truth_is_that_of_the_noise():
     assert faded(motion(), TRUE[None], SAMPLES)[0] == pytest.approx(0.0, abs=1e-20)
     noisy = faded(with_noise(motion(), 0.05, 0), TRUE[None], SAMPLES)[0]
@@ -37,6 +38,7 @@ def test_the_cost_of_the_truth_is_that_of_the_noise():
     assert noisy == pytest.approx(0.05**2 * count, rel=0.4)
 
 
+@pytest.mark.study
 def test_a_swarm_that_knows_the_friction_finds_the_rigid_body():
     found = swarm_at_once(motion(), 0, size=4)
     np.testing.assert_allclose(found.path[-1], TRUE, atol=1e-3)

@@ -73,6 +73,7 @@ def test_plain_least_squares_is_the_better_of_both(study):
     np.testing.assert_allclose(weighted.cut[:, 2], 1 - study.mean[:, 2] / [2.7, 3, 2.4])
 
 
+@pytest.mark.study
 def test_the_report_of_an_identification_is_complete_and_says_how_to_repeat_it(
     tmp_path,
 ):

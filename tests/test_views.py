@@ -172,6 +172,7 @@ def test_a_name_with_markup_in_it_stays_text():
     assert "<script>" not in inspect_recording(log)._repr_html_()
 
 
+@pytest.mark.study
 def test_motions_are_designed_for_a_robot_alone():
     found = design(Robot.load("planar"), starts=1)
     assert repr(found).startswith("1 motion of planar, condition ")

@@ -6,14 +6,14 @@ motion depends on which parameters are chosen to represent them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Index
 from hybrid.dynamics import (
     BaseParameters,
     effect_gains,
@@ -123,36 +123,79 @@ class Observation:
         kept = self.base.kept
         return [k for k in kept if k < n], [k - n for k in kept if k >= n]
 
+    @cached_property
+    def _laws(self) -> list[_Law]:
+        """The laws of the effects, each for all of its joints."""
+        ends = np.cumsum([len(e.gains) for e in self.effects])
+        kinds: dict[type[JointEffect], list[int]] = {}
+        for k, effect in enumerate(self.effects):
+            kinds.setdefault(type(effect), []).append(k)
+        return [
+            _Law([self.effects[k] for k in own], ends[own])
+            for own in kinds.values()
+        ]  # fmt: skip
+
+    def _signals(self, path: Path) -> Array:
+        """Position, speed, acceleration and load of the joints, shape (4, N, n)."""
+        chain = self.chain
+        load = inverse_dynamics(chain, chain.inertial, path.q, path.v, path.a)
+        return np.stack([path.q, path.v, path.a, load])
+
     def _effects(self, path: Path, turning_speed: float) -> Array:
         """Columns of the effects, not whitened, shape (N, n, gains)."""
-        out = np.zeros((*path.q.shape, len(self.gains)))
-        for effect, state, columns in self._states(path):
-            out[:, effect.joints[0], columns] = _law(effect, state, turning_speed)
+        out, signals = np.zeros((*path.q.shape, len(self.gains))), self._signals(path)
+        for law in self._laws:
+            found = law.torque(signals[:, :, law.joints], turning_speed)
+            out[:, law.joints[:, None], law.columns] = found
         return out
-
-    def _states(self, path: Path) -> Iterator[tuple[JointEffect, Array, slice]]:
-        """Each effect, its joint's q, v, a and load (4, N), and its columns."""
-        chain, first = self.chain, 0
-        load = inverse_dynamics(chain, chain.inertial, path.q, path.v, path.a)
-        signals = np.stack([path.q, path.v, path.a, load])
-        for effect in self.effects:
-            last = first + len(effect.gains)
-            yield effect, signals[:, :, effect.joints[0]], slice(first, last)
-            first = last
 
     def _effects_gradient(self, path: Path, weight: Array) -> tuple[Array, Array]:
         """Derivatives by (q, v, a), shape (3, N, n), and by the load, shape (N, n)."""
-        by = np.zeros((4, *path.q.shape))
-        for effect, state, columns in self._states(path):
-            (j,) = effect.joints
-            for k in range(4):
-                size = _STEP * (float(np.abs(state[k]).max()) or 1.0)
-                step = np.zeros((4, 1))
-                step[k] = size
-                change = _law(effect, state + step, TURNING_SPEED)
-                change = change - _law(effect, state - step, TURNING_SPEED)
-                by[k, :, j] += (weight[:, j, columns] * change).sum(axis=1) / (2 * size)
+        signals = self._signals(path)
+        by = np.zeros(signals.shape)
+        for law in self._laws:
+            state = signals[:, :, law.joints]
+            largest = np.abs(state).max(axis=1)
+            size = _STEP * np.where(largest > 0.0, largest, 1.0)  # (4, k)
+            step = np.eye(4)[:, :, None, None] * size[:, None, :]  # by signal, of each
+            ends = np.stack([state[:, None] + step, state[:, None] - step], axis=1)
+            after, before = law.torque(ends, TURNING_SPEED)
+            own = weight[:, law.joints[:, None], law.columns]
+            slopes = (own * (after - before)).sum(axis=-1) / (2 * size[:, None, :])
+            for k, j in enumerate(law.joints):
+                by[:, :, j] += slopes[:, :, k]
         return by[:3], by[3]
+
+
+class _Law:
+    """One law of a joint's state, at k joints.
+
+    Attributes:
+        joints: The joints, shape (k,).
+        columns: Columns of the gains at each of them, shape (k, p).
+    """
+
+    def __init__(self, effects: Sequence[JointEffect], ends: Index) -> None:
+        first = effects[0]
+        self._law = first.law
+        self._shapes = {
+            x.name: np.array([e.values[x.name] for e in effects]) for x in first.shapes
+        }
+        self.joints = np.array([e.joints[0] for e in effects])
+        self.columns = ends[:, None] + np.arange(-len(first.gains), 0)
+
+    def torque(self, signals: Array, turning_speed: float) -> Array:
+        """Torque per unit of each gain, shape (..., N, k, p).
+
+        Args:
+            signals: Position, speed, acceleration and load, shape (4, ..., N, k).
+            turning_speed: Speed within which dry friction is smoothed, [rad/s].
+        """
+        q, v, a, load = signals
+        sign = np.tanh(v / turning_speed) if turning_speed > 0 else np.sign(v)
+        t = np.broadcast_to(np.arange(float(q.shape[-2]))[:, None], q.shape)
+        found = self._law(JointState(t, q, v, a, sign, load), **self._shapes)
+        return np.stack([np.broadcast_to(x, q.shape) for x in found], axis=-1)
 
 
 def observe(
@@ -208,13 +251,3 @@ def rigid_conditions(chain: Chain, path: Path) -> dict[str, float]:
     H = regressor(chain, path.q, path.v, path.a).reshape(-1, 10 * chain.size)
     named = rigid_columns(chain, H).items()
     return {name: float(np.linalg.cond(H[:, list(at)])) for name, at in named}
-
-
-def _law(effect: JointEffect, state: Array, turning_speed: float) -> Array:
-    """Columns of a law, shape (N, p)."""
-    q, v, a, load = state
-    sign = np.tanh(v / turning_speed) if turning_speed > 0 else np.sign(v)
-    t = np.arange(float(len(q)))
-    joint = JointState(t, q, v, a, sign, load)
-    unit = np.ones_like(q)
-    return np.stack([unit * x for x in effect.law(joint, **effect.shape_values)], -1)
