@@ -69,7 +69,8 @@ def test_friction_that_grew_is_told_by_as_much_as_it_grew(model):
     assert low <= grown <= high
 
 
-@pytest.mark.parametrize("gain", [pytest.param(-0.13, marks=pytest.mark.study), 0.1])
+@pytest.mark.study
+@pytest.mark.parametrize("gain", [-0.13, 0.1])
 def test_a_drive_that_gives_less_has_its_size_with_the_healthy_friction(model, gain):
     """The log shows a share of all torque, of the friction in the model as well."""
     weak = effect_class("torque_gain")((1,), {"gain": gain})

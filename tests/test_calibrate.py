@@ -370,6 +370,7 @@ def test_nothing_is_fitted_to_the_nominal_arm_where_frames_are_known():
         calibrate(coman(), data, free=())
 
 
+@pytest.mark.study
 def test_chosen_poses_tell_more_than_random_ones():
     rng = np.random.default_rng(0)
     candidates = random_poses(coman(), 300, rng)

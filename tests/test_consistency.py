@@ -307,6 +307,7 @@ def test_a_rotor_heavier_than_its_link_leaves_the_links_physical(name):
     assert is_consistent(found.inertial).all()
 
 
+@pytest.mark.study
 def test_the_model_and_the_simulator_of_an_arm_have_its_heavy_rotor(tmp_path):
     robot = Robot.load(MODELS / "coman_like.xml")
     logs = simulate(robot, [Armature((1,), {"inertia": 1.0})], trajectories=4)

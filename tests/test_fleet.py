@@ -225,6 +225,7 @@ def stored_periods(out):
     return [x for x in found if isinstance(x, list)]
 
 
+@pytest.mark.study
 def test_a_full_disk_is_one_line_and_the_same_command_goes_on(
     tmp_path, capsys, monkeypatch, asked
 ):

@@ -232,6 +232,7 @@ def test_prediction_is_the_sum_of_rigid_body_and_effects(logs):
     np.testing.assert_allclose(fit.model.predict(motion), total, atol=1e-12)
 
 
+@pytest.mark.study
 def test_an_effect_of_the_users_is_fitted_along(logs):
     robot = arm("planar")
     own = effect_class("spring")

@@ -60,6 +60,7 @@ def test_every_experiment_of_the_menu_is_there_and_safe(name):
         assert every.min() > 0.005, experiment.name
 
 
+@pytest.mark.study
 @settings(max_examples=8)
 @given(
     seed=st.integers(0, 2**31),

@@ -116,6 +116,7 @@ def test_a_fitted_effect_removes_nine_tenths_on_motions_it_was_not_fitted_on(nam
     assert step_warning(replay) == []
 
 
+@pytest.mark.study
 def test_with_noise_the_gap_still_shrinks_and_windows_are_not_seen_in_fitting():
     scored = explained(("coulomb",), ("coulomb",), noisy=True)
     replay = Replay(scored)

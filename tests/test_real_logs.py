@@ -96,6 +96,7 @@ def test_tx40_with_its_coupled_wrist():
     assert (found.gain_values > sure * np.array(list(found.std.values()))).all()
 
 
+@pytest.mark.study
 def test_seconds_of_a_right_log_are_not_refused():
     """Slow motion of some seconds is fitted well by any reading of its columns."""
     folder = DATA / "ur10_salerno"

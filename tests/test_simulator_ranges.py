@@ -85,6 +85,7 @@ def test_a_drawn_gain_changes_with_the_others_wherever_its_effect_acts():
             assert [found.values[name] - effect.values[name]] == pytest.approx(own)
 
 
+@pytest.mark.study
 def test_what_varies_by_rounding_alone_has_no_interval():
     # Its axes are vertical: of the first link, the torque tells the inertia about one.
     found = ranges(fitted("scara").model)
