@@ -2,7 +2,7 @@
 #
 #   make demo    simulated logs -> three stages -> reports/demo/
 #   make test    tests; a few minutes
-#   make studies some hundred more whole diagnoses; six minutes
+#   make studies some hundred more whole diagnoses; ten minutes
 #   make check   lint, format and types
 #   make format  let ruff put the format right
 #   make mutants change the code in 400 places and see whether the tests notice

@@ -235,7 +235,9 @@ def test_a_full_disk_is_one_line_and_the_same_command_goes_on(
     write_text = Path.write_text
 
     def on_a_disk_with_room_for_two(path, text, **options):
-        written.append(write_text(path, text, **options))
+        count = write_text(path, text, **options)
+        if out in path.parents:  # other libraries write their own files once
+            written.append(count)
         if len(written) > 2:  # the baseline and one period
             path.write_bytes(b"torn")
             raise OSError(28, "No space left on device")
