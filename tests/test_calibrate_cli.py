@@ -118,3 +118,15 @@ def test_wrong_columns_are_refused_or_suspected_before_the_long_fit(
     assert main([*command.split(), "--out", f"{tmp_path}/new"]) == code
     assert "check units and order" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def test_a_reflector_that_no_pose_saw_does_not_hide_wrong_units(
+    folder, tmp_path, capsys
+):
+    names, *rows = (folder / "poses.csv").read_text().splitlines()
+    names = names.replace("[mm]", "[m]") + ",x_2 [m],y_2 [m],z_2 [m]"
+    lines = [names, *(f"{row},,," for row in rows)]
+    (tmp_path / "poses.csv").write_text("\n".join(lines))
+    command = f"calibrate --robot {ARM} --poses {tmp_path}/poses.csv"
+    assert main([*command.split(), "--out", f"{tmp_path}/new"]) == 2
+    assert "check units and order" in capsys.readouterr().err

@@ -142,8 +142,9 @@ def _check_columns(data: Measurements, errors: Mapping[str, Array]) -> None:
         size = float(np.sqrt(np.mean(errors[kind] ** 2)))
         if size <= _FAR:
             continue
-        squares = np.nanvar(getattr(data, kind), axis=0)
-        spread = float(np.sqrt(squares.sum() / squares.shape[0]))
+        points = np.ma.masked_invalid(getattr(data, kind))  # or distances; some unseen
+        squares = points.var(axis=0).reshape(points.shape[1], -1).sum(axis=1)
+        spread = float(np.sqrt(squares.mean()))
         fault = (
             f"the nominal arm misses the measurements by {1e3 * size:.0f} mm, and they "
             f"vary by {1e3 * spread:.0f} mm; check units and order of the columns"

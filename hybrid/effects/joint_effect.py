@@ -59,6 +59,6 @@ def law_of_fields(fields: Mapping[str, str]) -> Any:
 
 
 def continued(speed: Scalar, fastest: Scalar, power: int) -> Scalar:
-    """A power of speeds in [rad/s], any shape, and its tangent beyond the fastest."""
-    seen = np.clip(speed, 0.0, fastest)
+    """A power of speeds, 0 or more, [rad/s], and its tangent beyond the fastest."""
+    seen = np.minimum(speed, fastest)
     return (seen + power * (speed - seen)) * seen ** (power - 1)

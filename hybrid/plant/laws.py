@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hybrid.arrays import Array, Index
+from hybrid.arrays import Array
 from hybrid.effects import Effect, JointEffect, JointState, Port
 from hybrid.plant.arm import has_hook, overrides
 
@@ -16,24 +16,28 @@ Side = Literal["dry", "drive", "link"]
 
 @dataclass(frozen=True)
 class _Group:
-    """One law at k different joints."""
+    """One law at some of n joints; the others have it with gains of zero.
+
+    A law of arrays takes no longer at all joints than at some of them, whose states
+    would have to be picked.
+    """
 
     law: Callable[..., Sequence[Array]]
     side: Side
-    joints: tuple[int, ...]
-    where: slice | Index
-    gains: tuple[Array | None, ...]  # (k,) each, None where all are zero
-    shapes: dict[str, Array]  # (k,) each
+    gains: tuple[Array | None, ...]  # (n,) each, None where all are zero
+    shapes: dict[str, Array]  # (n,) each
 
-    def torque(self, state: JointState) -> Any:
-        """Torque at the group's joints, shape (B, k), [N·m]."""
+    def add(self, total: Array, state: JointState) -> None:
+        """Add the group's torque to a total, shape (B, n), [N·m]."""
         if self.side == "dry" and "width" in self.shapes:
             # A width smooths the sign for a fit. The constraint solver simulates
             # sticking, and needs the level at the width down to standstill.
             speed = np.maximum(np.abs(state.v), self.shapes["width"])
             state = replace(state, v=state.sign * speed)
-        terms = zip(self.gains, self.law(state, **self.shapes), strict=True)
-        return sum(gain * term for gain, term in terms if gain is not None)
+        terms = self.law(state, **self.shapes)
+        for gain, term in zip(self.gains, terms, strict=True):
+            if gain is not None:
+                total += gain * term
 
 
 class Laws:
@@ -49,7 +53,7 @@ class Laws:
 
     def __init__(self, effects: Sequence[Effect], batch: int, size: int) -> None:
         laws = [e for e in effects if isinstance(e, JointEffect) and not has_hook(e)]
-        self._groups = [_group(group) for group in _grouped(laws)]
+        self._groups = [_group(group, size) for group in _grouped(laws)]
         self.resisting = [e for e in effects if overrides(e, "resist")]
         self.resisted = [np.zeros((batch, len(e.joints))) for e in self.resisting]
         self.dry = np.zeros((batch, size))
@@ -64,14 +68,11 @@ class Laws:
 
         Effects with memory advance by a step, [s], which may be 0 or unknown (inf).
         """
-        parts: dict[tuple[bool, tuple[int, ...]], JointState] = {}
         for total in (self.dry, self.drive, self.link):
             total.fill(0.0)
         for group in self._groups:
-            key = (group.side == "link", group.joints)
-            if key not in parts:
-                parts[key] = part(link if key[0] else motor, group.where)
-            getattr(self, group.side)[:, group.where] += group.torque(parts[key])
+            state = link if group.side == "link" else motor
+            group.add(getattr(self, group.side), state)
         for k, effect in enumerate(self.resisting):
             j = list(effect.joints)
             if 0.0 < step < np.inf:
@@ -90,29 +91,23 @@ def _grouped(laws: Sequence[JointEffect]) -> list[list[JointEffect]]:
     return list(groups.values())
 
 
-def _group(effects: Sequence[JointEffect]) -> _Group:
-    effects = sorted(effects, key=lambda e: e.joints)
-    first = effects[0]
-    joints = np.array([e.joints[0] for e in effects])
-    contiguous = joints[-1] - joints[0] == len(joints) - 1
-    gains = np.array([e.gain_values for e in effects]).T  # (p, k)
-    shapes = {
-        s.name: np.array([e.values[s.name] for e in effects]) for s in first.shapes
-    }
+def _group(effects: Sequence[JointEffect], size: int) -> _Group:
+    first, joints = effects[0], [e.joints[0] for e in effects]
+    gains = np.zeros((len(first.gains), size))
+    gains[:, joints] = np.transpose([e.gain_values for e in effects])
+    shapes = {s.name: np.full(size, first.values[s.name]) for s in first.shapes}
+    for name, values in shapes.items():
+        values[joints] = [e.values[name] for e in effects]
     link = first.port is Port.ENVIRONMENT
     return _Group(
         law=first.law,
         side="dry" if first.dry else "link" if link else "drive",
-        joints=tuple(joints.tolist()),
-        where=slice(int(joints[0]), int(joints[-1]) + 1) if contiguous else joints,
         gains=tuple(g if g.any() else None for g in gains),
         shapes=shapes,
     )
 
 
-def part(state: JointState, where: slice | Index | list[int]) -> JointState:
+def part(state: JointState, joints: list[int]) -> JointState:
     """State of some of the joints."""
-    if isinstance(where, slice) and where == slice(0, state.q.shape[1]):
-        return state
-    signals = {k: x[:, where] for k, x in vars(state).items() if x is not None}
+    signals = {k: x[:, joints] for k, x in vars(state).items() if x is not None}
     return JointState(**signals)
