@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pendulum import NOISE, RATE, gap_of
 
-from hybrid.diagnosis.evidence.candidates import Term, candidate
+from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.explanations import account as account_module
 from hybrid.diagnosis.explanations import belief as belief_module
 from hybrid.diagnosis.explanations.account import Account, _slow_share, account
@@ -29,7 +29,7 @@ from hybrid.diagnosis.explanations.joint_laws import (
     smooth_sign,
     waves,
 )
-from hybrid.diagnosis.explanations.proposals import Proposal, Proposals
+from hybrid.diagnosis.explanations.proposals import Proposal
 from hybrid.diagnosis.explanations.refit import _model_variance, _names
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.explanations.servo_fit import _inverse, _least, _solve
@@ -426,7 +426,7 @@ def test_the_least_probable_effect_is_replaced_by_an_unknown_law():
 
 def test_the_probability_of_no_cause_is_one_of_them():
     options = {x.place: x for x in (sized(A, 1, 2.0), sized(B, 1, 1.0))}
-    found = Belief.of(A, 2.0, options, (), 0.01)
+    found = Belief.of(A, 2.0, options, 0.95)
     whole = 1.0 + np.exp(2.0) + np.exp(1.0)
     (own, p), (other, q) = found.alternatives
     assert (own.place, other.place) == (A.place, B.place)
@@ -437,7 +437,7 @@ def test_the_probability_of_no_cause_is_one_of_them():
 def test_alternatives_come_by_their_probability_after_the_cause_itself():
     worth = {A: 1.0, B: 0.5, C: 2.0}
     options = {made.place: sized(made, 1, x) for made, x in worth.items()}
-    found = Belief.of(A, 2.0, options, (), 0.01)
+    found = Belief.of(A, 2.0, options, 0.95)
     assert [x.place for x, _ in found.alternatives] == [A.place, C.place, B.place]
 
 
@@ -477,10 +477,9 @@ def test_the_law_that_a_cause_has_become_takes_its_place_however_improbable():
 
 
 def beliefs_of(at, limit=None):
-    """Beliefs of a search without twins, whose laws are at a limit or not."""
+    """Beliefs of a search whose laws are at a limit or not."""
     with pytest.MonkeyPatch.context() as m:
         m.setattr(belief_module, "_limit", lambda *_: limit)
-        m.setattr(Proposals, "are_twins", lambda *_: False)
         return beliefs(at)
 
 
@@ -492,42 +491,6 @@ def test_a_proposal_at_another_joint_that_adds_to_a_cause_is_beside_it():
     assert not _independent(at, A, proposal(C, 0.0))
     at.scores["ac"] = 5.0
     assert not _independent(at, A, proposal(C, 1.0))
-
-
-def test_twins_have_the_same_torque_at_the_same_joint():
-    gap = gap_of(size=2)
-    at = SimpleNamespace(gap=gap)
-    rubs, drags, other, soft = (
-        candidate(gap, x) for x in (
-            Coulomb((0,)), Viscous((0,)), Coulomb((1,)),
-            Presliding((0,), {"distance": 0.05}),
-        )
-    )  # fmt: skip
-    twin = replace(rubs, effect=AnotherCoulomb((0,)))
-    assert Proposals.are_twins(at, rubs, twin)
-    assert not any(Proposals.are_twins(at, rubs, x) for x in (rubs, drags, other, soft))
-    assert not Proposals.are_twins(at, None, rubs)
-    assert not Proposals.are_twins(at, rubs, None)
-
-
-def test_a_twin_may_take_the_place_of_a_cause_however_little_evidence_it_has():
-    at = Search(gap_of(Coulomb((0,), {"level": 1.0})))
-    twin = candidate(at.gap, AnotherCoulomb((0,)))
-    at.pool.tried += [Term(twin, at.cause(twin).index)]
-    own = at.cause(candidate(at.gap, Coulomb((0,))))
-    ranked = [
-        (c, 100.0 / (k + 1)) for k, c in enumerate(x.candidate for x in at.pool.tried)
-    ]
-    at.pool.ranked = lambda *_: ranked
-    found = {x.place for x in at.proposals([own], own=own)}
-    assert twin.place in found and own.place in found
-    assert twin.place not in {x.place for x in at.proposals([])}
-
-
-class AnotherCoulomb(Coulomb):
-    """The same torque as Coulomb friction, by another name."""
-
-    id = "another_coulomb"
 
 
 def test_a_law_at_the_end_of_a_range_is_another_unless_it_is_far_better(monkeypatch):

@@ -18,6 +18,7 @@ from hybrid.diagnosis.gap.measure import measure_gap, split
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.saturation import Saturation
+from hybrid.effects.stribeck import Stribeck
 from hybrid.errors import HybridWarning
 from hybrid.plant import Plant, simulate
 from hybrid.signals.filters import butterworth
@@ -44,11 +45,10 @@ UNKNOWN = Proposal(Cause(("speed", (0,)), np.zeros(0, dtype=int), 12.0), 0.0)
 SHARP, SOFT = Coulomb((0,)), Presliding((0,))
 
 
-def belief(*options, twins=()):
+def belief(*options):
     """Of Coulomb friction at the first joint, beside something unknown."""
     cause = Cause(("coulomb", (0,)), np.zeros(1, dtype=int), 10.0)
-    places = {x.place: x for x in options}
-    return Belief.of(cause, 5.0, places, twins, 0.01)
+    return Belief.of(cause, 5.0, {x.place: x for x in options}, 0.95)
 
 
 def test_what_is_as_probable_as_something_unknown_is_there_by_half():
@@ -63,10 +63,18 @@ def test_what_is_e_times_less_probable_counts_by_that():
     assert found.probability == pytest.approx(1.0)
 
 
-def test_what_is_hardly_probable_is_not_alike_but_for_a_twin():
-    far = proposed(SOFT, 12.0)
-    assert len(belief(proposed(SHARP, 20.0), far).alternatives) == 1
-    assert len(belief(proposed(SHARP, 20.0), far, twins={far.place}).alternatives) == 2
+@pytest.mark.parametrize(("odds", "count"), [(1.0, 3), (3.0, 3), (15.0, 2), (50.0, 1)])
+def test_a_class_is_the_smallest_set_that_holds_its_probability(odds, count):
+    laws = SHARP, SOFT, Stribeck((0,))
+    options = [proposed(x, 20.0 - k * np.log(odds)) for k, x in enumerate(laws)]
+    for order in (options, options[::-1]):
+        found = belief(*order)
+        assert len(found.alternatives) == count
+        held = sum(p for _, p in found.alternatives)
+        assert held >= 0.95 * found.probability
+        if count > 1:
+            least = min(p for _, p in found.alternatives)
+            assert held - least < 0.95 * found.probability
 
 
 def test_unknown_laws_are_of_every_sample_and_finite():

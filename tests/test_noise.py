@@ -165,3 +165,14 @@ def test_a_gain_far_out_of_its_prior_costs_by_the_decade():
     assert wider == 100.0 and gains == pytest.approx(100.0, rel=1e-4)
     usual, _, none = heavy_tailed(H, s / 100, precision, lower)
     assert none == 1.0 and usual == log_bayes(H, s / 100, precision, lower)[0]
+
+
+def test_gains_of_a_law_that_are_all_small_cost_by_the_decade_once():
+    """Each of four gains is a tenth of its usual size: three decades are saved."""
+    H, s = 1e8 * np.eye(4), np.full(4, 1e7)  # 0.1 ± 1e-4
+    lower, precision = np.full(4, -np.inf), np.ones(4)
+    usual, _ = log_bayes(H, s, precision, lower)
+    worth, _, factor = heavy_tailed(H, s, precision, lower)
+    assert factor == 0.1
+    less = 4 * np.log(10.0) - np.log(10.0) + 4 * (0.1**2 - 1.0) / 2
+    assert worth - usual == pytest.approx(less, rel=1e-3)

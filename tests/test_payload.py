@@ -42,22 +42,30 @@ def _mass_matrix(model):
 @pytest.mark.parametrize(
     ("masses", "usual"), [([1.0, 3.0, 8.0], 3.0), ([0.0] * 3, 0.1)]
 )
-def test_a_payload_is_about_as_heavy_as_a_link_and_a_decimetre_away(masses, usual):
+def test_a_payload_is_about_as_heavy_as_a_link_and_some_centimetres_away(masses, usual):
+    """As a mass at a point whose coordinates have a standard deviation of 5 cm."""
     inertial = np.zeros((3, 10))
     inertial[:, 0] = masses
     law = effect_class("payload")((0, 1, 2))
     std, least = law.prior(SimpleNamespace(inertial=inertial), Scale(1.0, 1.0))
-    expected = [usual] + [0.1 * usual] * 3 + [0.02 * usual] * 6
-    np.testing.assert_allclose(std, expected)
+    x, y, z = np.random.default_rng(0).normal(0.0, 0.05, (3, 10_000))
+    moments = y**2 + z**2, x * y, x**2 + z**2, x * z, y * z, x**2 + y**2
+    sizes = np.sqrt(np.mean(np.square([x / x, x, y, z, *moments]), axis=1))
+    np.testing.assert_allclose(std[:4] / usual, sizes[:4], rtol=0.05)
+    assert (sizes[4:] < 2.0 * std[4:] / usual).all()
+    assert (std[4:] / usual <= 2.0 * sizes[4:] * 1.05).all()
     own = {0, 4, 6, 9}  # the mass and the moments of inertia
     assert least.tolist() == [0.0 if k in own else -np.inf for k in range(10)]
 
 
-def test_a_link_is_off_by_a_seventh_in_either_direction():
+def test_mass_centre_and_gyration_of_a_link_are_off_by_a_seventh_each():
     size = np.arange(20.0).reshape(2, 10)
-    law = effect_class("link_inertia")((0,))
+    law = effect_class("link_inertia")((1,))
     std, least = law.prior(SimpleNamespace(size=size), Scale(1.0, 1.0))
-    np.testing.assert_allclose(std, 0.15 * size[0])
+    mass, length = np.random.default_rng(0).normal(1.0, 0.15, (2, 100_000))
+    relative = [np.std(mass * length**k) for k in (0, 1, 2)]
+    expected = np.repeat(relative, [1, 3, 6]) * size[1]
+    np.testing.assert_allclose(std, expected, rtol=0.03)
     assert np.isneginf(least).all() and len(least) == 10
     assert list(type(law).places(3)) == [(0,), (0, 1), (0, 1, 2)]
     assert list(effect_class("payload").places(3)) == [(0, 1, 2)]

@@ -30,11 +30,13 @@ from hybrid.effects import effect_classes
 from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
+from hybrid.effects.payload import Payload
 from hybrid.effects.presliding import Presliding
 from hybrid.effects.saturation import Saturation
 from hybrid.effects.spring import Spring
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_offset import TorqueOffset
+from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
 
 RUBS, DRAGS = Coulomb((0,), {"level": 1.0}), Viscous((0,), {"coefficient": 0.8})
@@ -151,11 +153,25 @@ def test_what_a_term_is_worth_is_the_evidence_lost_without_it():
     assert len(at.base()) == len(at.rigid) + 2
 
 
-def test_a_wider_prior_costs_the_logarithm_of_how_much_wider_it_is():
+def test_each_kind_is_as_probable_as_any_other_whatever_its_places():
+    """Friction of each joint, a payload of the arm, and a coupling of neighbours."""
+    at = search(RUBS, size=4)
+    laws = RUBS, Payload((0, 1, 2, 3)), TransmissionCoupling((0, 1))
+    costs = [cause(at, x).cost - price(x) for x in laws]
+    places = [len(list(type(x).places(4))) for x in laws]
+    assert places == [4, 1, 3]
+    odds = np.exp(-np.array(costs)) * places
+    np.testing.assert_allclose(odds, 4 * np.exp(-CAUSE))
+
+
+def test_a_prior_of_another_size_costs_the_logarithm_of_how_far_off_it_is():
     at = search(RUBS)
     usual = candidate(at.gap, RUBS)
-    one, ten = (at.cause(replace(usual, prior_factor=w)) for w in (1.0, 10.0))
+    tenth, one, ten = (
+        at.cause(replace(usual, prior_factor=w)) for w in (0.1, 1.0, 10.0)
+    )
     assert ten.cost - one.cost == pytest.approx(np.log(10.0))
+    assert tenth.cost == pytest.approx(ten.cost)
     assert one.cost == pytest.approx(CAUSE + price(RUBS))
     std = at.evidence.precision[[one.index[0], ten.index[0]]] ** -0.5
     assert std[1] / std[0] == pytest.approx(10.0)
@@ -263,20 +279,21 @@ def test_an_unknown_law_is_three_percent_of_the_rated_torque_at_nine_nats():
 
 
 def test_an_unknown_law_is_as_strong_as_it_has_to_be_at_a_cost():
-    """Its size is a guess: where it is far stronger, its prior is wider."""
-    strong = Stribeck((0,), {"level": 50.0, "velocity": 0.5})
-    costs = {}
-    for name, effect in (("weak", SLIPS), ("strong", strong)):
+    """Its size is a guess: where it is far stronger or weaker, so is its prior."""
+    ratios = []
+    for level in (1.0, 5.0, 50.0):
+        effect = SLIPS.at({"level": level})
         at = search(effect)
         (law,) = (x for x in at.laws.all if x.place[0] == "speed")
         wide = at.laws.widened(at.rigid, law)
-        costs[name] = wide.cost - law.cost
         std = [at.evidence.precision[x.index[0]] ** -0.5 for x in (law, wide)]
-        assert std[1] / std[0] == pytest.approx(np.exp(costs[name]))
-        assert (wide is law) == (costs[name] == 0.0)
+        ratios.append(std[1] / std[0])
+        odds = abs(np.log(ratios[-1]))
+        assert wide.cost - law.cost == pytest.approx(odds)
+        assert (wide is law) == (odds == 0.0)
         scores = [at.score([x]) for x in (law, wide)]
         assert scores[1] >= scores[0] - 1e-9
-    assert costs["weak"] == 0.0 < costs["strong"]
+    assert ratios == pytest.approx([0.1, 1.0, 10.0])
 
 
 def test_numbers_of_a_file_that_are_farther_off_are_less_probable():

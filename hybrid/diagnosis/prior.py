@@ -29,7 +29,7 @@ class Prior:
             may exceed the upper half in noise.
         probable: Probability of a known effect in the place of a cause, above which the
             cause is named.
-        alternative: Least probability of an effect that may take another's place.
+        in_class: Probability of a cause and of those that may take its place, together.
     """
 
     cause: float = 7.0
@@ -46,4 +46,4 @@ class Prior:
     most_repeated: int = 3
     slow_share: float = 0.33
     probable: float = 0.5
-    alternative: float = 0.01
+    in_class: float = 0.95

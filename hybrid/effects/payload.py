@@ -10,9 +10,12 @@ from hybrid.effects import Body, Effect, Nominal, Port, Quantity, Scale, Scope, 
 from hybrid.errors import EffectError
 from hybrid.signals import Motion
 
-_LINK_STD = 0.15  # relative standard deviation of the parameters of a link
-# Standard deviation of payload parameters over the median mass of the links: 1, m, m².
-_PAYLOAD_STD = (1.0, *[0.1] * 3, *[0.02] * 6)
+# Relative standard deviation of a link's mass, centre of mass and radius of gyration,
+# and of their products, which are its parameters.
+_LINK_STD = 0.15 * np.sqrt([1.0, *[2.0] * 3, *[5.0] * 6])
+# Standard deviation of payload parameters over the median mass of the links, 1, m, m²:
+# of a body some centimetres from the flange, as grippers are.
+_PAYLOAD_STD = (1.0, *[0.05] * 3, *[0.005] * 6)
 _LEAST_MASS = 0.1  # kg, smallest median mass
 _ROUNDING = 1e-9  # of a moment of inertia
 
@@ -116,6 +119,6 @@ class LinkInertia(Payload):
         return self.joints[-1:]
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
-        """A standard deviation of 15 % of each parameter, with both signs."""
+        """A standard deviation of 15 % of what the parameters are products of."""
         std = _LINK_STD * nominal.size[self.joints[-1]]
         return std, np.full(len(std), -np.inf)

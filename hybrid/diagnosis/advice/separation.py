@@ -82,7 +82,7 @@ def fit_rival(search: Search, term: Term, candidate: Candidate) -> Rival:
 def required_evidence(evidence: float) -> float:
     """Difference of evidence that distinguishes an explanation from another, [nat]."""
     prior = Prior()
-    return float(max(-np.log(prior.alternative), prior.law_error * evidence))
+    return float(max(-np.log(1.0 - prior.in_class), prior.law_error * evidence))
 
 
 def tried_shapes(search: Search) -> list[Candidate]:

@@ -5,7 +5,7 @@ import numpy as np
 from hybrid.arrays import Array
 
 _LINEAR = 0.3  # smallest ratio of two gains, for which the columns of one serve both
-PRIOR_FACTORS = 1.0, 10.0, 100.0  # a prior wider by a decade is ten times less probable
+PRIOR_FACTORS = 0.1, 1.0, 10.0, 100.0  # by which a prior may be wider
 
 
 def log_bayes(
@@ -54,10 +54,10 @@ def heavy_tailed(
     lower: Array,
     fixed_gains: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """:func:`log_bayes` with the best of some priors, wider ones at a cost.
+    """:func:`log_bayes` with the best of some priors, less those of other sizes.
 
     The typical size of a gain is not known well: files hold placeholders, and drives
-    are of all sizes.
+    are of all sizes. It is about as large for all gains of a law.
 
     Returns:
         The log Bayes factor, [nat], shape (...), the most probable gains, shape
@@ -65,10 +65,18 @@ def heavy_tailed(
     """
     factors = np.array(PRIOR_FACTORS).reshape(-1, *[1] * s.ndim)
     worth, gains = log_bayes(H, s, precision / factors**2, lower, fixed_gains)
-    worth = worth - np.log(factors[..., 0])
+    worth = worth - size_odds(factors[..., 0])
     best = np.argmax(worth, axis=0)
     chosen = np.take_along_axis(gains, best[None, ..., None], axis=0)[0]
     return worth.max(axis=0), chosen, np.array(PRIOR_FACTORS)[best]
+
+
+def size_odds(factor: Array | float) -> Array:
+    """Log odds against gains that are larger or smaller by a factor than usual, [nat].
+
+    A decade off is ten times less probable.
+    """
+    return np.asarray(np.abs(np.log(factor)))
 
 
 def _within_bounds(A: Array, b: Array, x: Array, least: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -44,14 +44,13 @@ class Belief:
         cause: Cause,
         worth: float,
         options: Mapping[Place, Proposal],
-        twins: Collection[Place],
-        least: float,
+        share: float,
         limit: str | None = None,
     ) -> Belief:
         """Normalise the probabilities of the options in place of a cause, and of none.
 
-        Twins are options with the same torque, and another prior, as is the law that a
-        cause has become. They are alternatives even below the least probability.
+        The alternatives are the smallest set that holds a share of the probability. The
+        law that a cause has become has the same torque, and is one of them anyhow.
         """
         known = list(options.values())
         nat = np.array([0.0, *(x.worth for x in known)])
@@ -59,10 +58,11 @@ class Belief:
         part /= part.sum()
         ranked = sorted(zip(known, part[1:], strict=True), key=lambda x: -x[1])
         own = [x for x in ranked if x[0].place == cause.place]
-        same = {*twins, (limit, cause.place[1])}
+        become = limit, cause.place[1]
+        before = np.cumsum([0.0, *(p for _, p in ranked)]) / max(part[1:].sum(), 1e-300)
         others = [
-            x for x in ranked
-            if x[0].place != cause.place and (x[1] >= least or x[0].place in same)
+            x for x, held in zip(ranked, before, strict=False)
+            if x[0].place != cause.place and (held < share or x[0].place == become)
         ]  # fmt: skip
         likely = sum(p for x, p in ranked if x.candidate is not None)
         return cls(cause, worth, (*own, *others), float(likely), limit)
@@ -85,12 +85,8 @@ def beliefs(search: Search) -> list[Belief]:
             if not _independent(search, cause, x):
                 worse = _foretells_worse(search, rest, x, worth)
                 options.setdefault(x.place, replace(x, worth=worth) if worse else x)
-        twins = [
-            place for place, x in options.items()
-            if search.are_twins(cause.candidate, x.candidate)
-        ]  # fmt: skip
-        limit, least = _limit(search, cause, rest), search.prior.alternative
-        found.append(Belief.of(cause, worth, options, twins, least, limit))
+        limit, share = _limit(search, cause, rest), search.prior.in_class
+        found.append(Belief.of(cause, worth, options, share, limit))
     return found
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from hybrid.arrays import Array, Index, Mask
+from hybrid.diagnosis.evidence.bayes import size_odds
 from hybrid.diagnosis.evidence.candidates import Candidate, candidate
 from hybrid.diagnosis.evidence.evidence import Evidence, Solution
 from hybrid.diagnosis.evidence.noise_model import NoiseModel, estimate_noise
@@ -122,7 +123,8 @@ class Posterior:
         if key not in self._causes:
             columns, std = self.gap.columns(c.effect), c.prior_factor * c.std
             (index,) = self.evidence.add([columns], [std])
-            cost = self.prior.cause + price(c.effect) + float(np.log(c.prior_factor))
+            cost = self._place_odds(type(c.effect)) + price(c.effect)
+            cost += float(size_odds(c.prior_factor))
             self._causes[key] = Cause(c.place, index, cost, c, c.effect.rough)
         return self._causes[key]
 
@@ -171,6 +173,15 @@ class Posterior:
             max(self.prior.cause * k - self._kind_odds, 0.0) for k in count.values()
         ]
         return float(sum(less))
+
+    def _place_odds(self, kind: type[Effect]) -> float:
+        """Log odds against a kind of cause at one of its places, [nat].
+
+        All kinds are as probable as one that each joint may have.
+        """
+        size = self.gap.robot.size
+        places = sum(1 for _ in kind.places(size))
+        return self.prior.cause + float(np.log(places / size))
 
     @property
     def _kind_odds(self) -> float:

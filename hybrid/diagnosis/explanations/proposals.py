@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid.arrays import Index
-from hybrid.diagnosis.evidence.candidates import Candidate, Place, same_columns
+from hybrid.diagnosis.evidence.candidates import Candidate, Place
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.posterior import Posterior
 from hybrid.effects import effect_classes
@@ -52,10 +52,7 @@ class Proposals(Posterior):
         causes: Sequence[Cause],
         own: Cause | None = None,
     ) -> list[Proposal]:
-        """Causes that may be added to some causes, or replace ``own``, best first.
-
-        Twins of ``own`` are among them however little evidence they have.
-        """
+        """Causes that may be added to some causes, or replace ``own``, best first."""
         whole, rest = self.columns(causes), [c for c in causes if c is not own]
         base, found = self.columns(rest), list[Proposal]()
         less = base[:0] if own is None else own.index
@@ -73,8 +70,7 @@ class Proposals(Posterior):
         best = ranked[: self.prior.shortlist]
         short = [c for c, x in best if x > self.prior.refined_share * best[0][1]]
         if own is not None and own.candidate is not None:
-            itself, more = own.candidate, [c for c, _ in ranked if c not in short]
-            short = [itself, *short, *(c for c in more if self.are_twins(itself, c))]
+            short = [own.candidate, *short]
         now = self.score(rest)
         for c in short:
             cause = self.cause(self.refine(base, c)[0])
@@ -83,13 +79,6 @@ class Proposals(Posterior):
         if laws and not self.library_only:
             found.append(self.best_law(laws, rest, whole, less, rough))
         return sorted(found, key=lambda x: -x.worth)
-
-    def are_twins(self, one: Candidate | None, two: Candidate | None) -> bool:
-        """Whether two effects have the same torque at the same joints."""
-        if one is None or two is None or one.place[1] != two.place[1]:
-            return False
-        columns = (self.gap.columns(c.effect) for c in (one, two))
-        return one.place != two.place and same_columns(*columns)
 
     def best_law(
         self,

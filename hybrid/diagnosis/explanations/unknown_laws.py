@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid.arrays import Array, Index, Mask
-from hybrid.diagnosis.evidence.bayes import log_bayes
+from hybrid.diagnosis.evidence.bayes import log_bayes, size_odds
 from hybrid.diagnosis.evidence.candidates import Place
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.explanations.cause import Cause
@@ -107,7 +107,7 @@ class UnknownLaws:
         key = law.place, factor
         if key not in self._wide:
             (index,) = self._evidence.add([columns], [factor * std])
-            cost = law.cost + float(np.log(factor))
+            cost = law.cost + float(size_odds(factor))
             self._wide[key] = replace(law, index=index, cost=cost)
         return self._wide[key]
 
