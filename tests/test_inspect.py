@@ -35,8 +35,6 @@ from hybrid.recording import write
 from hybrid.robot import Robot
 
 ARMS = ("scara", "ur5", "coman_like")
-# The third, whose joints are as many as those of the second, adds time and few kinds.
-STUDIED = {"coman_like": pytest.mark.study}
 # What these motions do not tell: a planar arm and its mirror image move alike.
 UNTOLD = {
     ("scara", "joints swapped"),
@@ -139,9 +137,7 @@ def test_torques_as_late_as_those_of_a_slow_bus_are_no_fault(seconds):
     assert not inspect_recording(late(right("ur5"), seconds), robot("ur5")).doubts
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(x, marks=STUDIED.get(x, ())) for x in ARMS]
-)
+@pytest.mark.parametrize("name", [ARMS[0], *studied(*ARMS[1:])])
 def test_most_wrong_logs_are_refused_for_the_right_reason(name):
     refused = 0
     kinds = [k for k, way in WRONG.items() if robot(name).size >= way.joints]
