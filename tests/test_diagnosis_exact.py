@@ -366,6 +366,8 @@ def test_shapes_are_searched_near_those_of_an_effect():
     assert normalised_shapes(gap, best) == pytest.approx([x[0] + 0.05, 0.45], abs=0.02)
     assert worth == gain(best) and worth > -1e-3
     assert price(start) == 4.0 and price(Coulomb((0,))) == 0.0
+    two_values = effect_class("deadzone")((0,))  # beside a shape that is fitted
+    assert price(two_values) == pytest.approx(2.0 + np.log(2.0))
     plain, worth = fit_shapes(Coulomb((0,)), lambda e: 7.0, gap)
     assert worth == 7.0 and plain == Coulomb((0,))
 

@@ -13,7 +13,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Columns, Gap
 from hybrid.effects import FASTEST, Effect, Quantity
 
-_PRICE = 2.0  # nat, logarithm of the number of values of a shape that differ
+_PRICE = 2.0  # nat, logarithm of the number of values of a fitted shape that differ
 _SCAN_PRICE = 8.0  # nat, the same of a gain that is scanned
 _REACH = 0.2  # of a shape's range, to either side
 _WIDE = 8.0  # upper over lower bound, from which on a range is logarithmic
@@ -26,8 +26,10 @@ def price(effect: Effect) -> float:
     """Odds against the choice of an effect's shapes, [nat]."""
     if effect.choices is not None:
         return effect.choices
-    chosen = [x for x in effect.shapes if x.name != FASTEST.name]
-    return _PRICE * len(chosen) + (_SCAN_PRICE if effect.steep else 0.0)
+    fitted = sum(not x.whole for x in effect.shapes)
+    chosen = [x for x in effect.shapes if x.whole and x.name != FASTEST.name]
+    price = _PRICE * fitted + (_SCAN_PRICE if effect.steep else 0.0)
+    return price + sum(float(np.log(x.upper - x.lower + 1.0)) for x in chosen)
 
 
 @dataclass(frozen=True)
