@@ -163,6 +163,20 @@ def test_laws_of_one_kind_are_summed_joint_by_joint():
     np.testing.assert_allclose(laws.link, expected)
 
 
+def test_a_law_that_is_infinite_where_no_joint_has_it_does_nothing_there(monkeypatch):
+    def law(state, **_):
+        infinite = np.full(2, np.inf)
+        return [np.divide(1.0, state.q, out=infinite, where=state.q != 0), state.q]
+
+    monkeypatch.setattr(Spring, "law", staticmethod(law))
+    spring = Spring((1,), {"stiffness": 3.0, "preload": 0.0})
+    q = np.array([0.0, 2.0])
+    state = JointState(*[q] * 6)
+    laws = Laws([spring], 1, 2)
+    laws.evaluate(state, state)
+    assert laws.link.tolist() == [[0.0, 1.5]]
+
+
 @pytest.mark.parametrize("effects", [[], [Viscous((0,), {"coefficient": 0.8})]])
 def test_physics_steps_of_a_held_torque_are_those_of_as_many_calls(effects):
     torque, start = np.array([[3.0], [-5.0]]), [[0.4], [-0.9]]

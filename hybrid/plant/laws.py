@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.effects import Effect, JointEffect, JointState, Port
 from hybrid.plant.arm import has_hook, overrides
 
@@ -16,7 +16,7 @@ Side = Literal["dry", "drive", "link"]
 
 @dataclass(frozen=True)
 class _Group:
-    """One law at some of n joints; the others have it with gains of zero.
+    """One law at some of n joints, evaluated at all of them.
 
     A law of arrays takes no longer at all joints than at some of them, whose states
     would have to be picked.
@@ -24,6 +24,7 @@ class _Group:
 
     law: Callable[..., Sequence[Array]]
     side: Side
+    here: Mask  # whether a joint has the law, (n,)
     gains: tuple[Array | None, ...]  # (n,) each, None where all are zero
     shapes: dict[str, Array]  # (n,) each
 
@@ -37,7 +38,8 @@ class _Group:
         terms = self.law(state, **self.shapes)
         for gain, term in zip(self.gains, terms, strict=True):
             if gain is not None:
-                total += gain * term
+                zero = np.zeros_like(total)
+                total += np.multiply(gain, term, out=zero, where=self.here)
 
 
 class Laws:
@@ -102,6 +104,7 @@ def _group(effects: Sequence[JointEffect], size: int) -> _Group:
     return _Group(
         law=first.law,
         side="dry" if first.dry else "link" if link else "drive",
+        here=np.isin(np.arange(size), joints),
         gains=tuple(g if g.any() else None for g in gains),
         shapes=shapes,
     )
