@@ -187,6 +187,8 @@ def main() -> None:
     area = float(np.trapezoid([wrong[0], *wrong], [0.0, *coverage]) / coverage[-1])
     rows = []
     for name, x in measures(found):
+        if not x.total:
+            continue
         low, high = x.interval
         rows.append(
             (
@@ -204,8 +206,9 @@ def main() -> None:
     rows.append(("median error of a parameter, standard deviations", usual, "", ""))
     classes = [len(x.named[0]["class"]) for x in found if x.named]
     rows.append(("mean size of the first class", f"{np.mean(classes):.2f}", "", ""))
-    auroc = f"{known_from_unknown(found):.3f}"
-    rows.append(("AUROC of known against withheld causes, as large", auroc, "", ""))
+    if any(x.withheld for x in found):
+        auroc = f"{known_from_unknown(found):.3f}"
+        rows.append(("AUROC of known against withheld causes, as large", auroc, "", ""))
     rows.append(("area under risk over coverage (AURC)", f"{area:.3f}", "", ""))
     table = Table(
         ("", "count", "share", "95 % interval"), tuple(rows),
