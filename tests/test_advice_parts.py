@@ -426,9 +426,9 @@ def test_a_rival_has_the_evidence_of_its_effect_beside_all_others(effect, cost):
     np.testing.assert_allclose(inner - A, prior, atol=1e-6)
 
 
-def test_evidence_that_is_required_is_a_hundred_to_one_or_three_percent():
-    assert required_evidence(0.0) == pytest.approx(np.log(100.0))
-    assert required_evidence(100.0) == pytest.approx(np.log(100.0))
+def test_evidence_that_is_required_is_twenty_to_one_or_three_percent():
+    assert required_evidence(0.0) == pytest.approx(np.log(20.0))
+    assert required_evidence(90.0) == pytest.approx(np.log(20.0))
     assert required_evidence(1000.0) == pytest.approx(30.0)
 
 
@@ -494,9 +494,9 @@ def test_the_required_evidence_is_exceeded_by_a_fifth(contrast, enough):
     assert (found is not None) == enough
 
 
-@pytest.mark.parametrize(("size", "asked"), [(1.34, []), (1.37, ["one"])])
+@pytest.mark.parametrize(("size", "asked"), [(1.08, []), (1.11, ["one"])])
 def test_an_experiment_that_separates_too_little_is_not_worked_out(size, asked):
-    """Half its square is at most a fifth of log 100."""
+    """Half its square is at most a fifth of log 20."""
     foreseen = Foreseen(experiments(), one=(size, 9.0, 9.0))
     choose(foreseen, (0,), RIVALS, [])
     assert foreseen.asked == asked

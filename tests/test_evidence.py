@@ -88,18 +88,22 @@ def test_the_evidence_is_that_of_the_whole_covariance(seed):
 
 
 def test_screening_and_trying_add_what_solving_both_says():
+    """With the best of some widths of the prior, less the odds of each."""
     gap, blocks, std, evidence, index = problem(1)
     lower = [np.full(len(s), -np.inf) for s in std]
-    base = np.concatenate(index[:2])
-    difference = (
-        evidence.solve(np.concatenate(index)).evidence - evidence.solve(base).evidence
-    )
+    base, every = np.concatenate(index[:2]), np.concatenate(index)
     (screened,) = evidence.screen(base, [index[2]], [lower[2]])
-    tried, gains, _ = evidence.trial(base, blocks[2], std[2], lower[2])
-    assert screened == pytest.approx(difference)
-    assert tried == pytest.approx(difference)
-    whole = evidence.solve(np.concatenate(index)).gains
-    np.testing.assert_allclose(gains, whole[-len(gains) :])
+    tried, gains, factor = evidence.trial(base, blocks[2], std[2], lower[2])
+    without, added = evidence.solve(base).evidence, {}
+    for wider in (0.1, 1.0, 10.0, 100.0):
+        evidence.scale_prior(index[2], wider)
+        whole = evidence.solve(every)
+        added[wider] = whole.evidence - without - abs(np.log(wider))
+        if wider == factor:
+            np.testing.assert_allclose(gains, whole.gains[-len(gains) :])
+    assert factor == max(added, key=added.__getitem__)
+    assert screened == pytest.approx(added[factor])
+    assert tried == pytest.approx(added[factor])
 
 
 @pytest.mark.parametrize("white", [True, False])
