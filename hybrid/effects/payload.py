@@ -119,6 +119,6 @@ class LinkInertia(Payload):
         return self.joints[-1:]
 
     def prior(self, nominal: Nominal, scale: Scale) -> tuple[Array, Array]:
-        """A standard deviation of 15 % of what the parameters are products of."""
+        """Mass, centre and gyration with a standard deviation of 15 % each."""
         std = _LINK_STD * nominal.size[self.joints[-1]]
         return std, np.full(len(std), -np.inf)

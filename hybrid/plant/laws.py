@@ -38,7 +38,7 @@ class _Group:
         terms = self.law(state, **self.shapes)
         for gain, term in zip(self.gains, terms, strict=True):
             if gain is not None:
-                zero = np.zeros_like(total)
+                zero = np.zeros_like(total)  # elsewhere, even if the term is infinite
                 total += np.multiply(gain, term, out=zero, where=self.here)
 
 
