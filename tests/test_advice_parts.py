@@ -16,6 +16,7 @@ from hybrid.diagnosis.advice.advise import (
     _for_not_excited,
     _for_servos,
     _for_unexplained,
+    _for_unforetold,
     _placed,
     choose,
 )
@@ -623,6 +624,30 @@ def test_the_joint_that_misses_most_is_asked_about_if_anything_is_missed():
     assert unexplained(("load",), [0.0]) == []
     assert unexplained(("load",), [4.0], "explained") == []
     assert len(unexplained(("load",), [4.0], "partly_explained")) == 1
+
+
+def foretold(named, findings=("coulomb",)):
+    """Plans for joints a and b, with noise 1 and 2, of which ``named`` is left."""
+    left = SimpleNamespace(named=named, noise=(1.0, 2.0))
+    diagnosis = SimpleNamespace(
+        unseen=left if named else None, findings=findings, joints=("a", "b")
+    )
+    menu = asked_menu("a multisine", "a fast random motion of all joints")
+    return _for_unforetold(SimpleNamespace(diagnosis=diagnosis), menu)
+
+
+def test_a_joint_above_noise_on_held_out_motion_asks_for_more_motion():
+    """Though the training samples are explained: no experiment is not enough."""
+    (plan,) = foretold((1.1, 3.0))
+    assert plan.advice.experiment.startswith("run a fast random motion of all joints")
+    assert plan.advice.experiment.endswith("torque of b on other motion")
+    assert plan.advice.separation == 0.0 and plan.advice.splits == ()
+    (plan,) = foretold((2.0, 3.0))  # the joint most above its own noise
+    assert plan.advice.experiment.endswith("torque of a on other motion")
+
+
+def test_noise_on_held_out_motion_or_no_cause_asks_for_no_more():
+    assert foretold((1.2, 2.4)) == foretold(()) == foretold((9.0, 9.0), ()) == ()
 
 
 def test_up_to_three_joints_that_stood_climb_a_ladder():

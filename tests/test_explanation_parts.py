@@ -476,6 +476,19 @@ def test_the_law_that_a_cause_has_become_takes_its_place_however_improbable():
     assert limit.become.place == B.place
 
 
+def test_effects_that_only_priors_tell_apart_are_equals():
+    """Their costs differ by as much as their worth does; a law costs nothing here."""
+    at = Steps({"": 0.0, "a": 20.0})
+    dear = replace(cause("b"), cost=A.cost + 10.0)
+    below, above = (proposal(dear, x) for x in (6.9, 7.1))  # one to 19, and to 22
+    alike, law = proposal(cause("c"), 6.9), proposal(LAW, 20.0)
+    for found, equals in ((below, []), (above, ["b"]), (alike, []), (law, [])):
+        at.causes, at.found = [A], [proposal(A, 20.0), found]
+        (belief,) = beliefs_of(at)
+        assert [c.place[0] for c in belief.equals] == equals
+    assert [x.place[0] for x, _ in belief.alternatives] == ["a", "speed"]
+
+
 def beliefs_of(at, limit=None):
     """Beliefs of a search whose laws are at a limit or not."""
     with pytest.MonkeyPatch.context() as m:

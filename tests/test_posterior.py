@@ -140,6 +140,16 @@ def test_an_effect_at_every_joint_is_as_probable_as_one_and_then_at_each_or_not(
     assert at.kind_discount([*causes, causes[0]]) == pytest.approx(saved)
 
 
+def test_a_coupling_has_one_place_fewer_than_joints_and_an_arm_one():
+    """All kinds are as probable: each of few places is more so."""
+    at = search(*BOTH, size=3)
+    one, every = zip(
+        *map(at._kind_odds, (Coulomb, TransmissionCoupling, Payload)), strict=True
+    )
+    assert one == pytest.approx([CAUSE, CAUSE + np.log(2 / 3), CAUSE - np.log(3)])
+    assert every == pytest.approx([CAUSE + k * np.log(2.0) for k in (3, 2, 1)])
+
+
 def test_what_a_term_is_worth_is_the_evidence_lost_without_it():
     at = search(RUBS, ASKEW)
     at.causes = [cause(at, RUBS), cause(at, ASKEW)]

@@ -274,8 +274,8 @@ def _drop_improbable(
 
     Returns:
         The effects that may be in each cause's place at its joint, with their
-        probabilities, its own first; and the alternatives themselves, with the most
-        probable one at another joint.
+        probabilities, its own first; and the rivals of each: these alternatives, the
+        most probable one at another joint, and those that only priors tell from it.
     """
     beliefs = [b for b in search.beliefs if b.worth > 0 and is_known(search, b.cause)]
     kept = {b.cause for b in beliefs}
@@ -289,7 +289,9 @@ def _drop_improbable(
         for c in here:
             likely[c.place[0]] += float(known[c])
         kinds[b.cause] = likely
-        alike[term] = tuple(c for c in (*here, *there) if c.place != term.place)
+        others = {c.place: c for c in (*here, *there, *b.equals)}
+        others.pop(term.place, None)
+        alike[term] = tuple(others.values())
         for c in there:
             both = (term.place, c.place)
             said = (w for e, at in both for w in (effect_words(e), names[at[-1]]))

@@ -16,7 +16,7 @@ from hybrid.diagnosis.advice.separation import (
     fit_rival,
     required_evidence,
 )
-from hybrid.diagnosis.answer.diagnosis import Advice
+from hybrid.diagnosis.answer.diagnosis import ABOVE, Advice
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.words import effect_words
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
@@ -32,6 +32,11 @@ _MOST_JOINTS = 3
 _RATE = 500.0  # Hz, highest of references
 _WHERE = "; it settles whether it is {} at {} or {} at {}"
 _IF_ANY = "; it shows {}, or how small it is"
+_WIDE = "a fast random motion"
+_TOGETHER = (
+    ", and diagnose it together with these logs: they are explained, but they do not "
+    "foretell the torque of {} on other motion"
+)
 # Words of the variable that a residual depends on; start of the experiment's name.
 _ISOLATING = (
     ("past", "a multisine"),
@@ -62,7 +67,8 @@ def advise(
 
     If another effect explains as much as a finding, the safe experiment with the
     largest separation of the two is taken, if it distinguishes them. For an
-    unexplained gap the experiment isolates the variable that the residual depends on.
+    unexplained gap the experiment isolates the variable that the residual depends on;
+    for one that other motion shows, it is a wide motion.
     Joints that did not move enough get a ladder of speeds.
 
     Args:
@@ -76,7 +82,7 @@ def advise(
     between = _between(result, Discriminations(result, menu))
     plans = [
         *sorted(between, key=lambda plan: -plan.advice.separation),
-        *_for_unexplained(result, menu),
+        *(_for_unexplained(result, menu) or _for_unforetold(result, menu)),
         *_for_servos(result, menu),
         *_for_not_excited(result, menu),
     ]
@@ -194,20 +200,42 @@ def choose(
     return found
 
 
-def _for_unexplained(result: Result, menu: Menu) -> Iterator[Plan]:
+def _for_unexplained(result: Result, menu: Menu) -> tuple[Plan, ...]:
     """The experiment that isolates the variable of the largest unexplained gap."""
     if result.diagnosis.verdict not in ("unexplained", "partly_explained"):
-        return
+        return ()
     joint = int(np.argmax(result.account.missed))
     missed, depends = result.account.missed[joint], result.account.depends[joint]
     if missed <= 0:
-        return
+        return ()
     wanted = next(begin for word, begin in _ISOLATING if word in depends)
-    for experiment in menu.about(joint):
-        if experiment.name.startswith(wanted):
-            advice = Advice(_run(experiment), (), float(np.sqrt(missed)))
-            yield Plan(advice, experiment)
-            return
+    return _of_kind(wanted, menu, joint, size=np.sqrt(missed))
+
+
+def _for_unforetold(result: Result, menu: Menu) -> tuple[Plan, ...]:
+    """A wide motion, if these logs are explained but do not foretell held-out motion.
+
+    The values of the causes are not well known then, and other motion tells them.
+    """
+    unseen = result.diagnosis.unseen
+    if unseen is None or not result.diagnosis.findings:
+        return ()
+    over = np.divide(unseen.named, np.maximum(unseen.noise, 1e-300))
+    joint = int(np.argmax(over))
+    if over[joint] <= ABOVE:
+        return ()
+    text = _TOGETHER.format(result.diagnosis.joints[joint])
+    return _of_kind(_WIDE, menu, joint, more=text)
+
+
+def _of_kind(
+    wanted: str, menu: Menu, joint: int, *, size: float = 0.0, more: str = ""
+) -> tuple[Plan, ...]:
+    """The first experiment about a joint whose name starts as wanted, if there is."""
+    for x in menu.about(joint):
+        if x.name.startswith(wanted):
+            return (Plan(Advice(_run(x) + more, (), float(size)), x),)
+    return ()
 
 
 def _for_not_excited(result: Result, menu: Menu) -> Iterator[Plan]:

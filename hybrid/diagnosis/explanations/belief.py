@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hybrid.diagnosis.evidence.candidates import Place, scale_of
+from hybrid.diagnosis.evidence.candidates import Candidate, Place, scale_of
 from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.moves import LEAST_GAIN
@@ -30,6 +30,8 @@ class Belief:
             of no cause, or of an unknown law.
         limit: Id of the law that it has become, at the limit of its own; see
             :attr:`.Effect.becomes`.
+        equals: Effects in its place under which the recordings are as probable: only
+            priors tell these from it.
     """
 
     cause: Cause
@@ -37,6 +39,7 @@ class Belief:
     alternatives: tuple[tuple[Proposal, float], ...]
     probability: float
     limit: str | None = None
+    equals: tuple[Candidate, ...] = ()
 
     @classmethod
     def of(
@@ -86,8 +89,23 @@ def beliefs(search: Search) -> list[Belief]:
                 worse = _foretells_worse(search, rest, x, worth)
                 options.setdefault(x.place, replace(x, worth=worth) if worse else x)
         limit, share = _limit(search, cause, rest), search.prior.in_class
-        found.append(Belief.of(cause, worth, options, share, limit))
+        belief = Belief.of(cause, worth, options, share, limit)
+        equals = _equals(cause, worth, options.values(), share)
+        found.append(replace(belief, equals=equals))
     return found
+
+
+def _equals(
+    cause: Cause, worth: float, options: Iterable[Proposal], share: float
+) -> tuple[Candidate, ...]:
+    """Candidates of some options under which the recordings are as probable."""
+    least = worth + cause.cost + np.log(1.0 - share)
+    return tuple(
+        x.candidate for x in options
+        if x.candidate is not None
+        and x.place != cause.place
+        and x.worth + x.cause.cost > least
+    )  # fmt: skip
 
 
 def _independent(search: Search, cause: Cause, other: Proposal) -> bool:

@@ -123,7 +123,7 @@ class Posterior:
         if key not in self._causes:
             columns, std = self.gap.columns(c.effect), c.prior_factor * c.std
             (index,) = self.evidence.add([columns], [std])
-            cost = self._place_odds(type(c.effect)) + price(c.effect)
+            cost = self._kind_odds(type(c.effect))[0] + price(c.effect)
             cost += float(size_odds(c.prior_factor))
             self._causes[key] = Cause(c.place, index, cost, c, c.effect.rough)
         return self._causes[key]
@@ -162,41 +162,39 @@ class Posterior:
         return self._cache[key]
 
     def kind_discount(self, causes: Sequence[Cause]) -> float:
-        """Discount on the odds for causes of one kind at many joints, [nat].
+        """Discount on the odds for causes of one kind at many places, [nat].
 
-        Their joint prior is that of one cause, times one half for each joint: a file
-        without friction lacks it at all joints.
+        The cost of each cause is that of a kind at one of its places. At many places it
+        is that of a kind which each place may have with one half: a file without
+        friction lacks it at all joints.
         """
         places = {c.place for c in causes if c.candidate is not None}
-        count = Counter(kind for kind, _ in places)
-        less = [
-            max(self.prior.cause * k - self._kind_odds, 0.0) for k in count.values()
-        ]
-        return float(sum(less))
+        count, less = Counter(kind for kind, _ in places), 0.0
+        for kind, k in count.items():
+            one, every = self._kind_odds(effect_classes()[kind])
+            less += max(k * one - every, 0.0)
+        return less
 
-    def _place_odds(self, kind: type[Effect]) -> float:
-        """Log odds against a kind of cause at one of its places, [nat].
+    def _kind_odds(self, kind: type[Effect]) -> tuple[float, float]:
+        """Log odds against a kind of cause at one place, and at any of all, [nat].
 
         All kinds are as probable as one that each joint may have.
         """
         size = self.gap.robot.size
         places = sum(1 for _ in kind.places(size))
-        return self.prior.cause + float(np.log(places / size))
-
-    @property
-    def _kind_odds(self) -> float:
-        """Log odds against one kind of cause, at any of the joints, [nat]."""
-        return float(self.prior.cause + self.gap.robot.size * np.log(2.0))
+        each = self.prior.cause
+        return each + float(np.log(places / size)), each + places * float(np.log(2.0))
 
     def file_error_odds(self, error: float) -> float:
         """Log odds against a relative error of the links' numbers, [nat].
 
-        An error above the typical one costs as much as one kind of cause: any link may
-        be another one then.
+        An error above the typical one costs as much as a kind of cause that each joint
+        may have: any link may be another one then.
         """
         typical = self.prior.file_errors[1]
         far = np.log(error / typical) / np.log(self.prior.file_factor)
-        return float(0.5 * far**2 + (self._kind_odds if error > typical else 0.0))
+        kind = self.prior.cause + self.gap.robot.size * np.log(2.0)
+        return float(0.5 * far**2 + (kind if error > typical else 0.0))
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:
         """See :func:`.refine.refine`; results are cached."""
