@@ -99,5 +99,6 @@ def _words(hint: Any) -> str:
     """A type as a signature states it, and what gives one."""
     words = hint.__name__ if isclass(hint) else re.sub(r"(\w+\.)+", "", str(hint))
     words = re.sub(r"Literal\[(.*?)\]", r"\1", words)
+    words = re.sub(r"^\w+\[('.*')\]$", r"some of \1", words)
     sources = [x for kind, x in _MADE_BY.items() if re.search(rf"\b{kind}\b", words)]
     return f"{words}, as {' or '.join(sources)} gives" if sources else words

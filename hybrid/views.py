@@ -79,6 +79,8 @@ def write_page(result: Any, path: str | Path) -> None:
     table, lines = view.table(result), view.rows(result)
     bare = replace(table, caption="")
     sections = [Section("What was found", table=bare, figure=figure)]
+    if notes := view.notes(result):
+        sections.append(Section("What to take care of", "\n\n".join(notes)))
     if lines:
         cells = tuple(tuple(map(_cell, line.values())) for line in lines)
         sections.append(Section("All numbers", table=Table(tuple(lines[0]), cells)))
@@ -92,13 +94,15 @@ def _cell(x: Any) -> str:
 class View(NamedTuple):
     """How a kind of result shows itself: a table, rows in SI units, and a picture.
 
-    ``columns`` are the names of its rows where there may be none.
+    ``columns`` are the names of its rows where there may be none, and ``notes`` are
+    sentences for its page.
     """
 
     table: Callable[[Any], Table]
     rows: Callable[[Any], list[dict[str, Any]]]
     draw: Callable[[Any, Axes], None]
     columns: Sequence[str] | None = None
+    notes: Callable[[Any], Sequence[str]] = lambda _: ()
 
 
 def _fit_rows(fit: Fit) -> list[dict[str, Any]]:
@@ -109,6 +113,14 @@ def _fit_rows(fit: Fit) -> list[dict[str, Any]]:
     )  # fmt: skip
     names = "unknown", "unit", "value", "std", "low", "high"
     return [dict(zip(names, row, strict=True)) for row in columns]
+
+
+def _fit_notes(fit: Fit) -> list[str]:
+    """Warnings, and the parameters that the logs do not tell."""
+    return [
+        *fit.warnings,
+        *(f"Not told by these logs: {x}" for x in fit.unidentifiable),
+    ]
 
 
 def _draw_fit(fit: Fit, ax: Axes) -> None:
@@ -273,7 +285,7 @@ def _lines(ax: Axes, t: Any, x: Any, joints: tuple[str, ...], label: str) -> Non
 
 
 _VIEWS = {
-    Fit: View(held_out_table, _fit_rows, _draw_fit),
+    Fit: View(held_out_table, _fit_rows, _draw_fit, notes=_fit_notes),
     Validation: View(report.table_from_validation, _validation_rows, _draw_validation),
     Design: View(_design_table, _design_rows, _draw_design),
     Calibration: View(corrections_table, _calibration_rows, _draw_calibration),

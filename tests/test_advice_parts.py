@@ -5,14 +5,17 @@ from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from pendulum import gap_of, pendulum
+from simulated import arm
 
 from hybrid.diagnosis.advice import menu as menu_module
 from hybrid.diagnosis.advice.advise import (
     Discriminations,
     Plan,
+    _caution,
     _for_not_excited,
     _for_servos,
     _for_unexplained,
@@ -640,10 +643,36 @@ def test_a_joint_above_noise_on_held_out_motion_asks_for_more_motion():
     """Though the training samples are explained: no experiment is not enough."""
     (plan,) = foretold((1.1, 3.0))
     assert plan.advice.experiment.startswith("run a fast random motion of all joints")
-    assert plan.advice.experiment.endswith("torque of b on other motion")
+    assert plan.advice.experiment.endswith("the torque of b on other motion")
     assert plan.advice.separation == 0.0 and plan.advice.splits == ()
     (plan,) = foretold((2.0, 3.0))  # the joint most above its own noise
-    assert plan.advice.experiment.endswith("torque of a on other motion")
+    assert plan.advice.experiment.endswith("the torque of a on other motion")
+
+
+def test_an_experiment_says_how_much_lower_than_the_logs_it_reaches():
+    """By MuJoCo's kinematics; a motion went 0.5 m below the logs, and none was told."""
+    robot = arm("planar")
+    model = robot.mujoco_spec().compile()
+    data = mujoco.MjData(model)
+
+    def lowest(q):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        return data.xpos[1:, 2].min()
+
+    up, down = np.array([[0.5, 0.2]]), np.array([[-1.2, 0.3]])
+    if lowest(up[0]) < lowest(down[0]):
+        up, down = down, up
+    gap = SimpleNamespace(robot=robot, sampled=SimpleNamespace(q=up))
+    low, high = (
+        Experiment("it", SimpleNamespace(q=np.vstack([up, x]))) for x in (down, up)
+    )
+    deeper = lowest(up[0]) - lowest(down[0])
+    assert deeper > 0.05
+    assert _caution(gap, low).startswith(
+        f"; it reaches {deeper:.2g} m lower than these"
+    )
+    assert _caution(gap, high) == ""
 
 
 def test_noise_on_held_out_motion_or_no_cause_asks_for_no_more():

@@ -47,7 +47,7 @@ WRONG = (
     ({"path": 3}, "path is 3; valid is str | Path"),
     ({"names": [3]}, "names is [3]; valid is Sequence[str]"),
     ({"names": {"a": 1}}, "names is {'a': 1}; valid is Sequence[str]"),
-    ({"kinds": ["c"]}, "kinds is ['c']; valid is Sequence['a', 'b']"),
+    ({"kinds": ["c"]}, "kinds is ['c']; valid is some of 'a', 'b'"),
     ({"sizes": ["a"]}, "sizes is ['a']; valid is Mapping[str, float] | None"),
     ({"sizes": {"a": "b"}}, "sizes is {'a': 'b'}; valid is Mapping[str, float] | None"),
     ({"call": 3}, "call is 3; valid is Caller | None"),

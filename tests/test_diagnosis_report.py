@@ -32,6 +32,7 @@ from hybrid.diagnosis.answer.words import (
     shrink_sentence,
     value_cells,
     verdict_lines,
+    verdict_sentence,
 )
 from hybrid.report.diagnosis import _gap_rows, render_diagnosis, write_diagnosis
 from hybrid.report.diagnosis_data import (
@@ -106,7 +107,7 @@ class TestPage:
         unknown = plain(render_diagnosis(told(planar(), where=())))
         assert "No condition was found" in unknown
         words = plain(render_diagnosis(told(planar(), where=(WHOLE, SLOW))))
-        assert "elbow, from torque to motion 60%" in words
+        assert "elbow, all of it from torque to motion 60%" in words
         assert "elbow, speed 0 to 0.1 rad/s 42%" in words
 
     def test_motion_advice_warnings_and_limits_are_shown_where_there_are_some(self):
@@ -151,6 +152,15 @@ class TestPage:
         words = plain(render_diagnosis(told(planar(), background=error)))
         assert ("Errors of this size are usual" in words) == usual
         assert ("usually nearer to the arm" in words) != usual
+
+    def test_large_errors_of_the_file_are_named_beside_the_causes(self):
+        """They were a third of the gap of a real wrist, and only a note said so."""
+        for error, named in ((0.02, False), (0.05, True)):
+            found = replace(planar().diagnosis, background=error)
+            for text in (headline(found), verdict_sentence(found)):
+                assert ("other masses and inertias of the links" in text) == named
+            words = plain(render_diagnosis(told(planar(), background=error)))
+            assert ("were corrected as well, by about 5%" in words) == named
 
     def test_a_gap_that_grows_is_said_to_be_more(self):
         grown = Shrink(0.01, 0.033, -2.3, (-5.9, 0.4), 0.5, "rad")

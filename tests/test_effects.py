@@ -586,6 +586,17 @@ def test_an_unphysical_payload_is_refused_by_the_plant():
             Plant(robot(), [typical("payload", **values)])
 
 
+def test_values_that_a_fit_finds_are_refused_where_it_finds_them():
+    def made(text):
+        return effects_from_text(text, NAMES, SCALES, gains=False)
+
+    assert made("stribeck:elbow(velocity=0.1)")[0].values["velocity"] == 0.1
+    with pytest.raises(EffectError, match="the fit finds level; valid are no values"):
+        made("coulomb:elbow(level=3)")
+    with pytest.raises(EffectError, match="the fit finds .*; valid are values of"):
+        made("stribeck:elbow(level=3)")
+
+
 def test_a_changed_link_loads_every_joint_below_it():
     (effect,) = effects_from_text("link_inertia:elbow", NAMES, SCALES)
     assert effect.joints == (0, 1, 2)

@@ -291,6 +291,7 @@ def test_only_what_is_named_is_followed():
 
 
 def test_paths_of_a_plan_start_where_it_lies(tmp_path):
+    (tmp_path / "arm.xml").touch()
     (tmp_path / "plan.yaml").write_text(
         "robot: arm.xml\nperiod: day\nfalse_alarms: 2\ntool: [0, 0, 0.1]\n"
         "arms:\n  b: {logs: b/logs, payload: 0.5, group: old}\n"
@@ -314,7 +315,8 @@ def test_a_folder_of_folders_is_a_plan(tmp_path):
     for name in "ab":
         (tmp_path / "cell" / name).mkdir(parents=True)
     (tmp_path / "cell" / "notes.txt").write_text("no arm")
-    plan = read_plan(tmp_path / "cell", robot="ur5.xml")
+    (tmp_path / "ur5.xml").touch()
+    plan = read_plan(tmp_path / "cell", robot=tmp_path / "ur5.xml")
     assert [x.name for x in plan.arms] == ["a", "b"]
     assert {Path(x.robot).name for x in plan.arms} == {"ur5.xml"}
     assert [Path(x.logs).name for x in plan.arms] == ["a", "b"]
@@ -342,10 +344,13 @@ def test_of_what_is_no_plan_eighty_characters_are_shown(tmp_path):
         ("payload: a", "payload, tool and limits are numbers"),
         ("limits: {coulomb: much}", "payload, tool and limits are numbers"),
         ("track: [coulomb.size]", "has no gain 'size'"),
+        ("robot: none.xml", "arm a: .*none.xml: no such robot file"),
     ],
 )
 def test_a_plan_says_what_is_not_valid(tmp_path, more, line):
-    text = f"robot: arm.xml\narms: {{a: {{logs: x}}}}\n{more}\n"
+    (tmp_path / "arm.xml").touch()
+    robot = "" if more.startswith("robot") else "robot: arm.xml\n"
+    text = f"{robot}arms: {{a: {{logs: x}}}}\n{more}\n"
     (tmp_path / "plan.yaml").write_text(text)
     with pytest.raises(HybridError, match=line):
         read_plan(tmp_path / "plan.yaml")

@@ -1,6 +1,8 @@
 """Every format gives back what was written, whatever its columns are called."""
 
+import os
 import sys
+from codecs import BOM_UTF8
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -521,6 +523,50 @@ def test_the_longest_name_of_a_joint_in_a_label_is_meant():
     for joints in (both, both[::-1]):
         assert parse_label("left arm/position", joints).joint == "left arm"
         assert parse_label("arm/position", joints).joint == "arm"
+
+
+@pytest.mark.parametrize("joints", [("J", "j"), ("j", "J"), ("q", "tau"), ("tau", "q")])
+def test_what_is_written_reads_back_whatever_joints_are_called(tmp_path, joints):
+    t, x = np.arange(20) / 10, np.arange(80.0).reshape(20, 4)
+    log = Recording(t, x[:, :2], x[:, 2:], v=2 * x[:, :2], joints=joints)
+    write(log, tmp_path / "log.csv")
+    (found,) = read_all([tmp_path / "log.csv"], joints=joints)
+    for channel in ("q", "tau", "v"):
+        np.testing.assert_array_equal(getattr(found, channel), getattr(log, channel))
+
+
+def test_a_byte_order_mark_may_stand_before_a_comment(tmp_path):
+    rows = "".join(f"{k / 10},{k},{2 * k}\n" for k in range(5))
+    path = tmp_path / "log.csv"
+    path.write_bytes(BOM_UTF8 + f"# by a drive\nt,q1,tau1\n{rows}".encode())
+    assert read(path).q[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize("whole", [0, 1, 2, 7])
+def test_decimal_commas_may_begin_below_rows_of_whole_numbers(tmp_path, whole):
+    first = [f"{k};1;2" for k in range(whole)]
+    rows = [f"{k};1,5;-2,25" for k in range(whole, whole + 5)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["t;q1;tau1", *first, *rows]))
+    found = read(path)
+    assert found.q[:, 0].tolist() == [1.0] * whole + [1.5] * 5
+    assert found.tau[:, 0].tolist() == [2.0] * whole + [-2.25] * 5
+
+
+def test_lines_that_end_in_a_carriage_return_alone_are_refused(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"t,q1,tau1\r0,1,2\r0.1,1,2\r")
+    with pytest.raises(RecordingError, match="CR alone; valid are LF, and CR with LF"):
+        read(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs POSIX")
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "log.csv")
+    with pytest.raises(RecordingError, match="a pipe or a device; valid are files"):
+        read_all([tmp_path / "log.csv"])
+    with pytest.raises(RecordingError, match="no recordings there"):
+        read_all([tmp_path])
 
 
 def test_a_frame_states_its_unpacked_size_as_rfc_8878_says():

@@ -374,7 +374,8 @@ def test_a_joint_worse_than_plain_least_squares_by_a_hundredth_is_warned_of():
         Identification._check_against_file(made)
     assert fine.warnings == []
     assert worse.warnings == [
-        f"hinge_{j}: 1.1% worse than plain least squares on held-out samples"
+        f"hinge_{j}: 1.1% worse on held-out samples than the better of plain and "
+        "weighted least squares"
         for j in range(2)
     ]
 

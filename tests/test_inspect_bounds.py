@@ -287,6 +287,13 @@ def test_a_joint_a_whole_turn_off_is_not_only_said_to_be_in_degrees(way):
     assert "turn" not in placed(np.rad2deg(q))[0]
 
 
+@pytest.mark.parametrize("way", [-7, 7])
+def test_a_joint_many_turns_off_is_not_only_said_to_be_in_degrees(way):
+    q = np.linspace(-0.7, 0.5, 200) + way * 2 * np.pi
+    (text,) = placed(q)
+    assert "looks like degrees, or radians 7 whole turns off" in text
+
+
 @pytest.mark.parametrize(("turns", "told"), [(1.99, False), (2.01, True)])
 def test_a_joint_without_limits_makes_two_turns(turns, told):
     q = np.linspace(0.0, turns * 2 * np.pi, 200)

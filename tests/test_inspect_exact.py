@@ -29,6 +29,7 @@ from hybrid.inspect.physics import (
 from hybrid.inspect.positions import doubts_of_positions
 from hybrid.inspect.samples import (
     doubts_of_samples,
+    encoder_step,
     large_step,
     resolution,
 )
@@ -196,10 +197,20 @@ def test_one_joint_that_moves_among_three_is_told():
         assert [d.evidence for d in found] == [1] * told
 
 
+def test_a_resampled_position_tells_no_step_of_an_encoder():
+    """Its smallest change is chance: 1e-10 rad of encoders of 1e-3 rad were said."""
+    coarse = np.round(WAVE / 1e-3) * 1e-3
+    assert encoder_step(coarse) == pytest.approx(1e-3)
+    t = np.arange(len(WAVE))
+    between = np.interp(t[:-1] + 0.37 * np.sin(t[:-1]) ** 2, t, coarse)
+    assert encoder_step(between) == np.inf and encoder_step(WAVE) == np.inf
+
+
 def test_steps_of_a_column():
     x = np.array([1.0, 2.0, 2.0, 2.0, 5.0, 5.0, 4.0, 4.0, 4.0])
     assert resolution(x) == 1.0 and resolution(np.ones(3)) == np.inf
     assert resolution(np.ones(3), 0.01) == 0.01 and resolution(0.5 * x, 0.1) == 0.1
+    assert encoder_step(x) == 1.0 and encoder_step(np.ones(3)) == np.inf
     steps = np.r_[0.0, np.cumsum(np.arange(1.0, 201.0))]
     assert large_step(steps) == pytest.approx(np.quantile(np.arange(1.0, 201.0), 0.99))
     assert large_step(np.zeros(50)) == 0.01

@@ -570,7 +570,7 @@ def test_the_first_guess_is_within_a_factor_of_two(robot):
     "changed", [{}, {"quadratic": 0.3, "roll": 0.1, "pitch": -0.1}]
 )
 def test_a_written_file_moves_as_the_servos_that_were_found(folder, tmp_path, changed):
-    drive = found(folder, delay=0.06).drive.at(**changed)
+    drive = found(folder, stiffness=0.6).drive.at(delay=np.full(2, 0.06), **changed)
     robot = arm(folder)
     write_servos(robot, drive, tmp_path / "fixed.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))

@@ -1,6 +1,7 @@
 """Scores on held-out motion: of what, over which samples, and how they are kept."""
 
 import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -200,6 +201,16 @@ def test_the_noise_floor_is_that_of_white_noise_at_the_rate_of_the_log(logs, cut
     smooth = Sampler(motion.rate, 20.0, 1)(motion.tau)
     motions = [replace(motion, tau=smooth + e) for e in noise]
     np.testing.assert_allclose(noise_floor(motions, cutoff), [0.5, 0.1], rtol=0.1)
+
+
+def test_a_log_that_was_filtered_has_no_noise_floor(fit, logs):
+    """Its filter has removed the noise above its band: a floor of 1e-8 was said."""
+    smooth = [
+        replace(x, tau=Sampler(x.rate, 2.0, 1)(x.tau), v=None) for x in logs
+    ]  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HybridWarning)
+        assert validate(fit.model, smooth).noise_floor is None
 
 
 def test_a_slow_log_has_no_noise_floor(fit, logs):

@@ -73,7 +73,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 def run(args: Namespace, screen: Screen) -> None:
     """Identify, save and show."""
     robot = options.load_robot(args)
-    effects = options.load_effects(args.effects, robot)
+    effects = options.load_effects(args.effects, robot, gains=False)
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
     servo = servos.check_arguments(args, recordings)
     if not servo and args.out.suffix != ".json":

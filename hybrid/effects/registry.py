@@ -148,17 +148,18 @@ def effect_from_dict(content: Mapping[str, Any], names: Sequence[str]) -> Effect
 
 
 def effects_from_text(
-    text: str, names: Sequence[str], scales: Sequence[Scale]
+    text: str, names: Sequence[str], scales: Sequence[Scale], *, gains: bool = True
 ) -> list[Effect]:
     """Effects from the text of the command line, at their usual size.
 
     ``stribeck:elbow,torque_ripple`` is Stribeck friction at the elbow and ripple at
     every joint; ``payload(mass=3)`` sets a value, ``transmission_coupling:5+6`` names
-    two joints, ``coulomb:1,coulomb:2(level=4;…)`` several.
+    two joints, ``coulomb:1,coulomb:2(level=4;…)`` several. Without ``gains``, values
+    of shapes alone may be set.
 
     Raises:
-        EffectError: The text does not parse, names what does not exist, or gives a
-            quantity a sign that it cannot have.
+        EffectError: The text does not parse, names what does not exist, sets what may
+            not be set, or gives a quantity a sign that it cannot have.
     """
     effects: list[Effect] = []
     for item in filter(None, (part.strip() for part in text.split(","))):
@@ -170,6 +171,13 @@ def effects_from_text(
         effect_id, joints, assignments = match.groups()
         values = _values(assignments or "", item)
         cls = effect_class(effect_id)
+        given = [] if gains else [g.name for g in cls.gains if g.name in values]
+        if given:
+            shapes = ", ".join(s.name for s in cls.shapes)
+            raise EffectError(
+                f"{item!r}: the fit finds {given[0]}; valid are "
+                f"{f'values of {shapes}' if shapes else 'no values'}"
+            )
         for group in _groups(cls, joints, names):
             effects.append(cls.typical(group, scales, **values))
             _check_signs(effects[-1], item)

@@ -192,12 +192,17 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
             "are up to 10, and 3 or none"
         )
     logs, robot = entry["logs"], str(entry["robot"])
+    if "." in robot:
+        robot = _resolved(robot, folder)
+        fs, root = opened(robot)
+        if not fs.exists(root):
+            raise HybridError(f"{where}: {robot}: no such robot file")
     baseline = str(entry.get("baseline", FIRST))
     is_file = baseline.endswith(".json")
     return ArmPlan(
         name,
         logs if isinstance(logs, Mapping) else _resolved(str(logs), folder),
-        _resolved(robot, folder) if "." in robot else robot,
+        robot,
         _resolved(baseline, folder) if is_file else baseline,
         numbers,
         tool,

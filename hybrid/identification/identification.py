@@ -219,8 +219,8 @@ class Identification:
         rise = np.sqrt(total / self.solver.base) - 1.0
         for j in np.flatnonzero(rise > _COSTLY):
             self.warnings.append(
-                f"{self.robot.joints[j]}: {rise[j]:.1%} worse than plain least squares "
-                "on held-out samples"
+                f"{self.robot.joints[j]}: {rise[j]:.1%} worse on held-out samples than "
+                "the better of plain and weighted least squares"
             )
 
     def _file_residual(self, motion: Motion) -> Array:

@@ -146,11 +146,12 @@ def validate(
     size = np.maximum(rms_torque(motions, slowest), 1e-300)
     rows, floors = list[ValidationRow](), list[Array]()
     filters = loggers(model, motions)
+    filtered = any(x.cutoff < np.inf for x in filters)  # which leaves no noise
     for name, one in {**model.simpler, model.stage: model}.items():
         left = residuals(motions, one.predict, filters)
         error = rms_torque(left, slowest)
         rows.append(ValidationRow(name, error, error / size))
-        floor = noise_floor(left, model.cutoff)
+        floor = None if filtered else noise_floor(left, model.cutoff)
         floors += [] if floor is None else [floor, error]
     return Validation(
         robot=model.robot.name,
@@ -197,15 +198,13 @@ def residuals(
     ]
 
 
-def loggers(
-    model: DynamicModel, motions: Sequence[Motion]
-) -> list[Callable[[Array], Array]]:
+def loggers(model: DynamicModel, motions: Sequence[Motion]) -> list[Sampler]:
     """What each logger shows of a torque, (N, n), [N·m]; it may have filtered it.
 
     Warns:
         HybridWarning: One has.
     """
-    found = list[Callable[[Array], Array]]()
+    found = list[Sampler]()
     for m in motions:
         band = torque_bandwidth([(m.tau, model.predict(m))], m.rate, model.cutoff)
         found.append(Sampler(m.rate, band, 1))

@@ -19,7 +19,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.inspect.doubt import Doubt
 from hybrid.inspect.masses import CREEP
-from hybrid.inspect.samples import resolution
+from hybrid.inspect.samples import encoder_step
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot.chain import Chain
@@ -45,7 +45,7 @@ class JointCoverage:
         high: Highest position, [rad or m].
         fastest: Highest speed, [rad/s or m/s].
         moving: Share of the time in which it moves.
-        resolution: Smallest step of its position, [rad or m]; infinite if it rests.
+        resolution: Step of its encoder, [rad or m]; infinite if the log tells none.
         torque: Lowest and highest torque, [N·m or N]; None without torque.
         lag: Delay of its position behind its command, [s]; below zero if it precedes
             the command, and None without one.
@@ -97,7 +97,7 @@ def coverage_of(
             lag = _lag(recording.command[:, j], q, most) / recording.rate
         ends, pace = (float(q.min()), float(q.max())), (fastest[j], moving[j])
         found.append(
-            JointCoverage(joint, units[j], *ends, *pace, resolution(q), torque, lag)
+            JointCoverage(joint, units[j], *ends, *pace, encoder_step(q), torque, lag)
         )
     return tuple(found)
 

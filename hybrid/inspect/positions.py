@@ -70,9 +70,11 @@ def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
         joint = int(np.argmax(np.where(suspect, peak, 0.0)))
         row = int(np.argmax(np.abs(recording.q[:, joint])))
         names = [x for k, x in smaller if _fits(recording.q * k, robot, kind)][:1]
-        turned = recording.q - 2 * np.pi * suspect * np.sign(recording.q[row])
-        if unit == "rad" and _fits(turned, robot, kind):
-            names.append("radians a whole turn off")
+        turns = suspect * _turns(recording.q, robot)
+        if unit == "rad" and _fits(recording.q - 2 * np.pi * turns, robot, kind):
+            most = int(np.abs(turns).max())
+            off = "a whole turn" if most == 1 else f"{most} whole turns"
+            names.append(f"radians {off} off")
         text = f"{recording.place('q', joint, row)}: {recording.q[row, joint]:.6g} "
         looks = f"looks like {', or '.join(names)}"
         text += looks if names else "is far outside the limits"
@@ -82,6 +84,14 @@ def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
         severity = error_if(bool(names) or bool(np.isfinite(reach[joint])))
         joints = tuple(np.flatnonzero(suspect).tolist())
         yield Doubt("q", joints, text, remedy, severity, float(peak[joint]))
+
+
+def _turns(q: Array, robot: Robot) -> Array:
+    """Whole turns from the middle of each joint's limits to its motion, (n,)."""
+    limited = np.isfinite(robot.q_min) & np.isfinite(robot.q_max)
+    low, high = (np.where(limited, x, 0.0) for x in (robot.q_min, robot.q_max))
+    off = (q.min(axis=0) + q.max(axis=0) - low - high) / 2
+    return np.asarray(np.where(limited, np.round(off / (2 * np.pi)), np.sign(off)))
 
 
 def _fits(q: Array, robot: Robot, kind: Mask) -> bool:

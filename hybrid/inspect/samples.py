@@ -20,6 +20,7 @@ SLOWEST = 1.0  # Hz: lowest sampling rate of a moving arm
 LARGEST = 1e9  # rad, rad/s, N·m: beyond any arm, and its square is finite
 LATEST = 1e19  # s: more than the nanoseconds since 1970, which the step reveals
 _MEASURED = "valid is a torque that was measured"
+_COUNTS, _UNEVEN = 1e5, 0.1  # steps of an encoder between samples; error of a step
 _COARSEST = 0.01  # rad: worst resolution of a joint encoder
 _UNITS = (1e-3, "milli"), (1e-6, "micro"), (1e-9, "nano")
 _SUDDEN = 5.0  # times a large change of the step of a position
@@ -47,6 +48,19 @@ def resolution(x: Array, coarsest: float = np.inf) -> float:
     """Resolution of the encoder of a position, shape (N,), from its smallest step."""
     steps = np.abs(np.diff(x))
     return float(np.min(steps[steps > 0], initial=coarsest))
+
+
+def encoder_step(q: Array) -> float:
+    """Step of an encoder, by its position, shape (N,); infinite if there is none.
+
+    All changes of the position are multiples of it. Those of a log that was resampled
+    or simulated are multiples of nothing.
+    """
+    steps, least = np.abs(np.diff(q)), resolution(q)
+    few = steps[(steps > 0) & (steps < _COUNTS * least)] / least
+    whole = np.abs(few - np.round(few)) < _UNEVEN
+    usual = float(np.median(steps[steps > 0])) if few.size else np.inf
+    return least if usual < _COUNTS * least and whole.mean() > 1 - _UNEVEN else np.inf
 
 
 def stuck_position(t: Array, q: Array) -> Mask:

@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass, replace
 from itertools import groupby
 
+from hybrid.recording.recording import CHANNELS
 from hybrid.recording.units import fits
 
 TIME = (
@@ -131,7 +132,15 @@ def parse_label(label: str, joints: tuple[str, ...] = ()) -> Meaning:
 
 
 def _parse_with_joints(text: str, joints: tuple[str, ...]) -> Meaning | None:
-    """Parse a label that has the name of a known joint; None if it has none."""
+    """Parse a label that has the name of a known joint; None if it has none.
+
+    Labels as this package writes them come first: names may differ in case alone, or be
+    those of channels.
+    """
+    for joint in joints:
+        for channel in CHANNELS:
+            if text == f"{channel}_{joint}":
+                return Meaning(channel, joint, why="")
     for joint in sorted(joints, key=len, reverse=True):
         at = text.lower().rfind(joint.lower())
         before, after = text[: max(at, 0)], text[at + len(joint) :]

@@ -142,13 +142,15 @@ def _files(path: Path) -> list[tuple[Path, bool]]:
     """Files of a path, and whether each is the only one."""
     if path.is_file() or kind_of(path) in FOLDERS:
         return [(path, True)]
+    if path.exists() and not path.is_dir():
+        raise RecordingError(f"{path}: a pipe or a device; valid are files")
     inside = sorted(path.iterdir()) if path.is_dir() else [
         Path(name) for name in sorted(glob.glob(str(path)))]  # fmt: skip
     found = [
         file
         for file in inside
         # a name that starts with a dot belongs to an unfinished file
-        if kind_of(file) and file.name[0] != "." and file.exists()
+        if kind_of(file) and file.name[0] != "." and (file.is_file() or file.is_dir())
     ]
     if not found:
         raise RecordingError(

@@ -13,8 +13,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.answer import words
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.result import Result
-from hybrid.diagnosis.answer.words import effect_name
-from hybrid.diagnosis.prior import Prior
+from hybrid.diagnosis.answer.words import effect_name, has_unusual_numbers
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report.diagnosis_data import evidence_matrix, joint_curves
@@ -76,7 +75,7 @@ def render_diagnosis(result: Result, fixed: str = "") -> str:
         remainder=_remainder(result),
         matrix=matrix,
         delays=bool(result.delays),
-        usual_errors=diagnosis.background <= Prior().file_errors[1],
+        usual_errors=not has_unusual_numbers(diagnosis),
         data=_json_markup(drawn),
         provenance=diagnosis.provenance,
     )
@@ -127,10 +126,10 @@ def _arm(result: Result) -> dict[str, Any]:
 
 def _shares(diagnosis: Diagnosis, inks: Sequence[str]) -> list[tuple[str, str, float]]:
     """Name, colour and share of the gap above noise, of each finding and the rest."""
-    rest = diagnosis.unexplained
+    rest = diagnosis.unexplained if diagnosis.unexplained >= _SMALL else 0.0
     found = zip(diagnosis.findings, inks, strict=True)
     parts = [(effect_name(f.effect), ink, f.share * (1 - rest)) for f, ink in found]
-    return [*parts, ("unexplained", _HATCHED, rest)] if rest >= _SMALL else parts
+    return [*parts, ("unexplained", _HATCHED, rest)] if rest else parts
 
 
 def _remainder(result: Result) -> list[tuple[str, float, str]]:

@@ -216,9 +216,12 @@ def load_plant(args: Namespace) -> Plant:
     return replace(plant, effects=(*plant.effects, *effects), servo=None)
 
 
-def load_effects(text: str, robot: Robot) -> list[Effect]:
-    """Effects of ``--effects``, at their usual size for the arm."""
-    return effects_from_text(text, robot.joints, joint_scales(robot))
+def load_effects(text: str, robot: Robot, *, gains: bool = True) -> list[Effect]:
+    """Effects of ``--effects``, at their usual size for the arm.
+
+    Without ``gains``, values of shapes alone may be set.
+    """
+    return effects_from_text(text, robot.joints, joint_scales(robot), gains=gains)
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

@@ -21,6 +21,8 @@ from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.words import effect_words
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.explanations.search import Search
+from hybrid.diagnosis.gap.gap import Gap
+from hybrid.dynamics.kinematics import frames
 from hybrid.effects import Port, effect_class
 from hybrid.excitation.design import write_reference
 from hybrid.threads import one_thread
@@ -32,10 +34,12 @@ _MOST_JOINTS = 3
 _RATE = 500.0  # Hz, highest of references
 _WHERE = "; it settles whether it is {} at {} or {} at {}"
 _IF_ANY = "; it shows {}, or how small it is"
+_CAUTION = "; it reaches {:.2g} m lower than these logs: look at the cell first"
+_DEEPER = 0.05  # m
 _WIDE = "a fast random motion"
 _TOGETHER = (
-    ", and diagnose it together with these logs: they are explained, but they do not "
-    "foretell the torque of {} on other motion"
+    ", and diagnose it together with these logs: they tell too little of the torque of "
+    "{} on other motion"
 )
 # Words of the variable that a residual depends on; start of the experiment's name.
 _ISOLATING = (
@@ -98,8 +102,23 @@ def advise(
             file = files.setdefault(id(experiment), f"advice_{len(files) + 1}.csv")
             path = Path(directory) / file
             write_reference(path, experiment.reference, result.gap.robot.joints)
-        advice.append(replace(plan.advice, file=file))
+        text = plan.advice.experiment
+        if experiment is not None:
+            text += _caution(result.gap, experiment)
+        advice.append(replace(plan.advice, experiment=text, file=file))
     return tuple(advice)
+
+
+def _caution(gap: Gap, experiment: Experiment) -> str:
+    """How much lower than the recordings an experiment reaches, if it does."""
+    chain = gap.robot.chain
+    down = chain.gravity / max(float(np.linalg.norm(chain.gravity)), 1e-9)
+    lowest, recorded = (
+        float((frames(chain, q)[1] @ down).max(initial=0.0))
+        for q in (experiment.reference.q, gap.sampled.q)
+    )
+    deeper = lowest - recorded
+    return _CAUTION.format(deeper) if deeper > _DEEPER else ""
 
 
 class Discriminations:

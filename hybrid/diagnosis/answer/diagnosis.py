@@ -153,7 +153,7 @@ class Unseen:
             joints to the training samples.
         ceiling: Gap with the findings and the unknown laws.
         noise: Noise, which no model removes.
-        named: Gap with the findings alone.
+        named: Gap with the findings and corrected numbers of the file.
     """
 
     before: tuple[float, ...]

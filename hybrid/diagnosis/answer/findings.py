@@ -103,7 +103,9 @@ def findings(
             finding,
             sentence=sentence,
             chances=tuple(x / max(len(each), 1) for x in chances),
-            probability=min((sum(x.values()) for x in each), default=np.nan),
+            probability=sum(sum(x.values()) for x in each) / len(each)
+            if each
+            else np.nan,
         )
         found.append(finding)
     return tuple(sorted(found, key=lambda f: -f.share))

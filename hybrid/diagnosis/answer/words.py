@@ -14,12 +14,14 @@ from hybrid.diagnosis.answer.diagnosis import (
     Value,
     listed,
 )
+from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.shown import decimals_of
 
 MOST_LINES, LEAST_FINDINGS = 10, 3
 _MOST_TEXTS = 3  # in a line
 _TORQUE = "N·m"
+_NUMBERS = "other masses and inertias of the links"
 _SAME = 0.005  # a smaller relative difference is not shown
 _NO_BREAK = "\u00a0"  # between a number and its unit
 
@@ -28,6 +30,8 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict of a diagnosis in a sentence."""
     count, explained = len(diagnosis.findings), 1.0 - diagnosis.unexplained
     effects = "one effect accounts" if count == 1 else f"{count} effects account"
+    if has_unusual_numbers(diagnosis):
+        effects = f"{effects.rsplit(' ', 1)[0]} and {_NUMBERS} account"
     part = "over 99%" if explained >= 0.995 else f"{explained:.0%}"
     return {
         "no_gap": "No gap: only noise is left, and the usual errors of robot files.",
@@ -49,6 +53,11 @@ def _joints_explained(diagnosis: Diagnosis) -> str:
     return f"nearly all of the gap at {count} of {len(unknown)} joints"
 
 
+def has_unusual_numbers(diagnosis: Diagnosis) -> bool:
+    """Whether masses and inertias of the file were corrected by more than usual."""
+    return diagnosis.background > Prior().file_errors[1]
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """The first effects with their joints, and the gap that is left, in a few words.
 
@@ -58,12 +67,14 @@ def headline(diagnosis: Diagnosis) -> str:
         f"{effect_words(f.effect)} at {joints_named(f.joints)}"
         for f in diagnosis.findings
     ]
-    where = joints_named(gap_joints(diagnosis))
+    where, causes = joints_named(gap_joints(diagnosis)), _few(named, ", ", "effect")
+    if has_unusual_numbers(diagnosis):
+        causes += f", {_NUMBERS}"
     text = {
         "no_gap": _fits(diagnosis),
         "not_excited": "the recordings move the arm too little to tell",
         "unexplained": f"no known cause of the gap at {where}",
-    }.get(diagnosis.verdict, f"{_few(named, ', ', 'effect')}; {_rest(diagnosis)}")
+    }.get(diagnosis.verdict, f"{causes}; {_rest(diagnosis)}")
     if diagnosis.unlike:
         text = f"not the file of this arm: {diagnosis.unlike}; {text}"
     return text[:1].upper() + text[1:]
@@ -277,7 +288,7 @@ def shrink_sentence(kind: str, s: Shrink) -> str:
 def region_name(region: Region) -> str:
     """A region in words: ``elbow, speed 0 to 0.1 rad/s``."""
     if region.variable == "link":
-        return f"{region.joint}, from {range_name(region)}"
+        return f"{region.joint}, all of it from {range_name(region)}"
     if region.variable == "direction":
         return f"{region.joint}, {range_name(region)}"
     return f"{region.joint}, {region.variable.replace('_', ' ')} {range_name(region)}"

@@ -5,6 +5,7 @@ import gzip
 import re
 import warnings
 import zlib
+from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -202,6 +203,7 @@ def _text(path: Path) -> _Text:
         content = _unpacked(path)
         with path.open("rb") if content is None else BytesIO(content) as file:
             names, *rows, above = _first_lines(file)
+            ahead = file.read(_LONGEST_LINE)
     except OSError as error:
         reason = error.strerror or error
         raise RecordingError(f"{path}: cannot be read: {reason}") from error
@@ -228,8 +230,10 @@ def _text(path: Path) -> _Text:
         pairs = zip_longest(labels, units, fillvalue="")
         labels = tuple(f"{x} [{unit}]" if unit else x for x, unit in pairs)
         first, above, cells = second, above + 1, _cells(second, delimiter)
-    below = first + second  # a first row may be all whole
-    comma = delimiter != "," and "," in below and "." not in below
+    # Rows may hold whole numbers, until the arm moves.
+    below = (x for x in (first, second, *ahead.decode(errors="replace").splitlines()))
+    row = next((x for x in below if "," in x or "." in x), "")
+    comma = delimiter != "," and "," in row and "." not in row
     point = "," if comma else "."
     return _Text(path, content, labels, delimiter, point, cells, above)
 
@@ -237,7 +241,7 @@ def _text(path: Path) -> _Text:
 def _first_lines(file: BinaryIO) -> tuple[bytes, bytes, bytes, int]:
     """Line of column names, two lines below, and the number of lines down to it."""
     read = partial(file.readline, _LONGEST_LINE)
-    lines = [read()]
+    lines = [read().removeprefix(BOM_UTF8)]
     while lines[-1].startswith(b"#") and len(lines) < _MOST_COMMENTS:
         lines.append(read())
     if len(lines) > 1 and re.match(rb"\s*[-+.\d]", lines[-1]):  # as NumPy writes
@@ -264,12 +268,17 @@ def _header(path: Path, line: bytes) -> str:
             f"{path}: not UTF-8 text (UTF-16 or binary); valid is CSV saved as UTF-8"
         )
     try:
-        return line.decode("utf-8-sig").rstrip("\r\n")
+        header = line.decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError as error:
         raise RecordingError(
             f"{path}: column names are not UTF-8 (byte "
             f"{error.object[error.start]:#04x}); valid is CSV saved as UTF-8"
         ) from error
+    if "\r" in header:
+        raise RecordingError(
+            f"{path}: lines end in CR alone; valid are LF, and CR with LF"
+        )
+    return header
 
 
 def _explanation(text: _Text, error: str) -> str:
