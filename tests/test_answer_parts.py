@@ -202,7 +202,7 @@ def test_terms_of_one_effect_are_one_finding_in_the_order_of_joints():
     assert [v.value for v in dry.parameters] == [1.0, 2.0]
     assert dry.alternatives == ("coulomb", "presliding")
     assert dry.chances == (pytest.approx(0.8), pytest.approx(0.04))
-    assert (dry.probability, drag.probability) == (pytest.approx(0.7), 1.0)
+    assert (dry.probability, drag.probability) == (pytest.approx(0.84), 1.0)
     assert (dry.share, drag.share) == (pytest.approx(4 / 6), pytest.approx(2 / 6))
 
 
@@ -921,7 +921,10 @@ def test_causes_of_other_joints_do_not_explain_a_joint():
 
 
 def test_causes_that_unknown_laws_could_be_are_dropped(monkeypatch):
-    """A likely alternative at another joint is said, and one at the same is alike."""
+    """A likely alternative at another joint is said, and one at the same is a rival.
+
+    So are effects that only priors tell from it, which nobody is told of.
+    """
 
     one, two = (Made(x.place, x) for x in (Made(("a", (0,))), Made(("b", (1,)))))
     law = Made(("speed", (0,)))
@@ -930,11 +933,13 @@ def test_causes_that_unknown_laws_could_be_are_dropped(monkeypatch):
         (SimpleNamespace(candidate=x), 0.5)
         for x in (one.candidate, here, there, far, None)
     ]
-    term = Made(("a", (0,)))
+    term, equal = Made(("a", (0,))), Made(("w", (0,)))
     search = SimpleNamespace(
         beliefs=[
-            SimpleNamespace(cause=one, worth=9.0, alternatives=options),
-            SimpleNamespace(cause=two, worth=1.0, alternatives=[]),
+            SimpleNamespace(
+                cause=one, worth=9.0, alternatives=options, equals=(here, equal)
+            ),
+            SimpleNamespace(cause=two, worth=1.0, alternatives=[], equals=()),
         ],
         causes=[law, one, two], terms=[term],
         gap=SimpleNamespace(robot=SimpleNamespace(joints=("hip", "knee"))),
@@ -943,7 +948,8 @@ def test_causes_that_unknown_laws_could_be_are_dropped(monkeypatch):
     doubts = []
     kinds, alike = _drop_improbable(search, doubts)
     assert search.causes == [law, one]
-    assert kinds == {one: {"a": 0.5, "x": 0.5}} and alike == {term: (here, there)}
+    assert kinds == {one: {"a": 0.5, "x": 0.5}}
+    assert alike == {term: (here, there, equal)}
     assert doubts == [
         "a at hip may as well be y at knee: these motions cannot tell them apart"
     ]

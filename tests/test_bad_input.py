@@ -129,7 +129,10 @@ def changed(column: int, row: int, cell: str) -> str:
         (GOOD.replace("q2", "q2 [Nm]"), "column 'q2 [Nm]' is in Nm; valid are rad and"),
         (GOOD.replace("tau2", "tau2 (mA)"), "column 'tau2 (mA)' is in mA; valid are"),
         (GOOD.replace("q2", "q2 [rpm]"), "column 'q2 [rpm]' is in rpm; valid are rad"),
-        (GOOD.replace("\n", "\r"), "first line of column names: new-line character"),
+        (
+            GOOD.replace("\n", "\r"),
+            "lines end in CR alone; valid are LF, and CR with LF",
+        ),
         (changed(2, 2, '"1'), "row 2 (data rows count from 1) has"),
         (changed(2, 1, "1\r2"), "row 1 (data rows count from 1) has 3 cells"),
         (GOOD.replace("tau", "load"), "no torques among the columns time, q1"),
