@@ -29,13 +29,14 @@ _NO_BREAK = "\u00a0"  # between a number and its unit
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict of a diagnosis in a sentence."""
     count, explained = len(diagnosis.findings), 1.0 - diagnosis.unexplained
-    effects = "one effect accounts" if count == 1 else f"{count} effects account"
+    effects = "one effect" if count == 1 else f"{count} effects"
     if has_unusual_numbers(diagnosis):
-        effects = f"{effects.rsplit(' ', 1)[0]} and {_NUMBERS} account"
+        effects, count = f"{effects} and {_NUMBERS}", 2
     part = "over 99%" if explained >= 0.995 else f"{explained:.0%}"
+    part = f"{effects} account{'s' * (count == 1)} for {part}"
     return {
         "no_gap": "No gap: only noise is left, and the usual errors of robot files.",
-        "explained": f"Explained: {effects} for {part} of the gap above noise.",
+        "explained": f"Explained: {part} of the gap above noise.",
         "partly_explained": f"Partly explained: {_joints_explained(diagnosis)}; of the "
         "rest no cause is certain.",
         "unexplained": "Unexplained: there is a gap, and no known effect is its cause.",
