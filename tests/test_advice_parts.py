@@ -670,7 +670,7 @@ def test_an_experiment_says_how_much_lower_than_the_logs_it_reaches():
     deeper = lowest(up[0]) - lowest(down[0])
     assert deeper > 0.05
     assert _caution(gap, low).startswith(
-        f"; it reaches {deeper:.2g} m lower than these"
+        f" (it reaches {deeper:.2g} m lower than these"
     )
     assert _caution(gap, high) == ""
 

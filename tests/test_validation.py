@@ -213,6 +213,16 @@ def test_a_log_that_was_filtered_has_no_noise_floor(fit, logs):
         assert validate(fit.model, smooth).noise_floor is None
 
 
+def test_a_torque_that_is_not_finite_is_refused_with_its_cause(fit, logs, monkeypatch):
+    """Numbers of a file may be so large that torque is none."""
+    nothing = np.full_like(logs[0].tau, np.nan)
+    monkeypatch.setattr(DynamicModel, "predict", lambda self, motion: nothing)
+    with pytest.raises(RecordingError, match="predicts a torque that is not finite"):
+        predict(fit.model, logs[0])
+    with pytest.raises(RecordingError, match="no torque, but an effect of the model"):
+        predict(fit.model, replace(logs[0], tau=np.zeros(0)))
+
+
 def test_a_slow_log_has_no_noise_floor(fit, logs):
     motion = motion_from_recording(logs[3], cutoff=20.0)
     assert noise_floor([motion], motion.rate / 6) is None

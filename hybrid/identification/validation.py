@@ -259,8 +259,8 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
     motions, _ = motions_from_logs(logs, model.cutoff)
     tau = np.concatenate([model.predict(motion) for motion in motions])
     if not np.isfinite(tau).all():
-        raise RecordingError(
-            f"{recording.source or 'recording'}: no torque, but the model has an "
-            "effect that depends on the torque measured"
-        )
+        why = "no torque, but an effect of the model depends on the torque measured"
+        if recording.has_torque:
+            why = "the model predicts a torque that is not finite: its numbers are none"
+        raise RecordingError(f"{recording.source or 'recording'}: {why}")
     return tau
