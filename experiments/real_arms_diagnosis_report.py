@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Region
+from hybrid.diagnosis.answer.diagnosis import Advice, Diagnosis, Finding, Region
 from hybrid.diagnosis.answer.result import Result
 from hybrid.report import Table, markdown_table
 from hybrid.report.style import BLUE, GREY, PALE, RED, clean, legend, new_figure
@@ -99,12 +99,16 @@ def in_words(score: Score) -> str:
         ("Doubts", d.doubts),
         ("Warnings", d.warnings),
         ("Not excited", d.not_excited),
-        ("To run next", [f"{a.experiment} ({', '.join(a.splits)})" for a in d.advice]),
+        ("To run next", [*map(_advice, d.advice)]),
         ("Largest parts of the gap", [_place(r) for r in d.where[:5]]),
     ):
         if lines:
             text += f"{title}:\n\n" + "".join(f"- {x}\n" for x in lines) + "\n"
     return text
+
+
+def _advice(x: Advice) -> str:
+    return f"{x.experiment} ({', '.join(x.splits)})" if x.splits else x.experiment
 
 
 def gap_table(score: Score) -> Table:
