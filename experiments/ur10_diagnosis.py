@@ -18,7 +18,7 @@ from outputs import command_line
 
 from hybrid.cli import main as hybrid
 
-SCREEN = (1000, 960)  # pixels
+SCREEN = (1000, 1020)  # pixels
 MODELS = ROOT / "models"
 
 

@@ -158,7 +158,7 @@ class TestPage:
         for error, named in ((0.02, False), (0.05, True)):
             found = replace(planar().diagnosis, background=error)
             for text in (headline(found), verdict_sentence(found)):
-                assert ("other masses and inertias of the links" in text) == named
+                assert ("other link masses and inertias" in text) == named
             words = plain(render_diagnosis(told(planar(), background=error)))
             assert ("were corrected as well, by about 5%" in words) == named
 

@@ -21,7 +21,7 @@ from hybrid.shown import decimals_of
 MOST_LINES, LEAST_FINDINGS = 10, 3
 _MOST_TEXTS = 3  # in a line
 _TORQUE = "N·m"
-_NUMBERS = "other masses and inertias of the links"
+_NUMBERS = "other link masses and inertias"
 _SAME = 0.005  # a smaller relative difference is not shown
 _NO_BREAK = "\u00a0"  # between a number and its unit
 
