@@ -273,6 +273,7 @@ def test_logs_of_one_day_are_in_the_order_of_their_names(tmp_path):
 
 
 def test_a_plan_has_defaults_for_all_arms_and_numbers_of_its_own(tmp_path):
+    (tmp_path / "arm.xml").touch()
     content = {
         "robot": "arm.xml", "payload": 1.5, "period": "month", "time_limit": 60,
         "arms": {"b": {"logs": "x", "tool": [0, 0, 0.1]}, "a": {"logs": "s3://y/z"}},

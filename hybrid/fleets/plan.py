@@ -194,8 +194,7 @@ def _arm(name: str, entry: dict[str, Any], folder: str | Path, where: str) -> Ar
     logs, robot = entry["logs"], str(entry["robot"])
     if "." in robot:
         robot = _resolved(robot, folder)
-        fs, root = opened(robot)
-        if not fs.exists(root):
+        if "://" not in robot and not Path(robot).exists():
             raise HybridError(f"{where}: {robot}: no such robot file")
     baseline = str(entry.get("baseline", FIRST))
     is_file = baseline.endswith(".json")
