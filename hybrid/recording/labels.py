@@ -139,7 +139,7 @@ def _parse_with_joints(text: str, joints: tuple[str, ...]) -> Meaning | None:
     """
     for joint in joints:
         for channel in CHANNELS:
-            if text == f"{channel}_{joint}":
+            if text == f"{channel}_{joint}" and not joint.isdigit():
                 return Meaning(channel, joint, why="")
     for joint in sorted(joints, key=len, reverse=True):
         at = text.lower().rfind(joint.lower())
