@@ -679,6 +679,13 @@ def test_noise_on_held_out_motion_or_no_cause_asks_for_no_more():
     assert foretold((1.2, 2.4)) == foretold(()) == foretold((9.0, 9.0), ()) == ()
 
 
+def test_a_joint_that_stands_is_not_the_one_above_noise():
+    """Nothing is left there but NaN."""
+    assert foretold((np.nan, 2.0)) == ()
+    (plan,) = foretold((np.nan, 3.0))
+    assert "the torque of b" in plan.advice.experiment
+
+
 def test_up_to_three_joints_that_stood_climb_a_ladder():
     said = (
         "a does not move", "b moving up", "c below 0.1 rad/s", "d", "e moving down",

@@ -144,7 +144,11 @@ def test_a_coupling_has_one_place_fewer_than_joints_and_an_arm_one():
     """All kinds are as probable: each of few places is more so."""
     at = search(*BOTH, size=3)
     one, every = zip(
-        *map(at._kind_odds, (Coulomb, TransmissionCoupling, Payload)), strict=True
+        *(
+            at._kind_odds(at._places(x))
+            for x in (Coulomb, TransmissionCoupling, Payload)
+        ),
+        strict=True,
     )
     assert one == pytest.approx([CAUSE, CAUSE + np.log(2 / 3), CAUSE - np.log(3)])
     assert every == pytest.approx([CAUSE + k * np.log(2.0) for k in (3, 2, 1)])

@@ -69,11 +69,7 @@ class MassColumns:
             [links.reshape(n, -1, samples), drives.reshape(n, -1, samples)], axis=1
         )  # (n, P, M)
         self._scale = np.maximum(np.sqrt((columns**2).sum(axis=(0, 2))), _TINY)
-        columns /= self._scale[:, None]
-        # Columns that move each joint: those of its drive, and of links beyond it.
-        self._moving = [np.flatnonzero(x.any(axis=1)) for x in columns]
-        pairs = zip(columns, self._moving, strict=True)
-        self._columns = [x[moving] for x, moving in pairs]  # (P', M) each
+        self._columns = columns / self._scale[:, None]
         of_drives = np.arange(-drives[0, :, :, 0].size, 0).reshape(n, -1)
         self._offsets = of_drives[:, _OFFSETS]
         strongest = state.rated / np.maximum(np.abs(own[:, _SPRING]).max(axis=1), _TINY)
@@ -88,8 +84,7 @@ class MassColumns:
     @property
     def explained(self) -> Array:
         """Torque by the last fit to the whole log, shape (M, n), [N·m]."""
-        pairs = zip(self._columns, self._moving, strict=True)
-        return np.stack([self._theta[moving] @ x for x, moving in pairs], axis=1)
+        return np.asarray(self._columns.swapaxes(1, 2) @ self._theta).T
 
     def residual(
         self,
@@ -128,7 +123,8 @@ class MassColumns:
         """
         left = []
         for columns in self._columns:
-            _, value, basis = np.linalg.svd(columns, full_matrices=False)
+            used = columns[columns.any(axis=1)]
+            _, value, basis = np.linalg.svd(used, full_matrices=False)
             basis = basis[value > _RANK * value[0]]
             rest = self._tau - basis.T @ (basis @ self._tau)
             left.append((rest**2).mean(axis=0) / self._size)
@@ -136,17 +132,13 @@ class MassColumns:
 
     def _sums(self, use: Mask | slice) -> _Sums:
         """Normal equations over some of the samples, (M,)."""
-        tau, samples = self._tau[use], len(self._tau)
-        n, size = len(self._columns), len(self._scale)
-        normal, right = np.zeros((n, size, size)), np.zeros((n, n, size))
-        pairs = zip(self._columns, self._moving, strict=True)
-        for i, (x, moving) in enumerate(pairs):
-            own = x[:, use]
-            normal[i][np.ix_(moving, moving)] = own @ own.T
-            right[i][:, moving] = (own @ tau).T
-        each, offsets = np.arange(n)[:, None], self._offsets
+        columns, tau = self._columns[:, :, use], self._tau[use]
+        samples = len(self._tau)
+        normal = columns @ columns.swapaxes(1, 2)
+        each, offsets = np.arange(len(columns))[:, None], self._offsets
         penalty = _OFFSET_PENALTY / self._scale[offsets]
         normal[each, offsets, offsets] += penalty**2 * len(tau)
+        right = (columns @ tau).swapaxes(1, 2)
         return normal / samples, right / samples, (tau**2).sum(axis=0) / samples
 
     def _fitted(self, sums: _Sums, order: Index, factor: Array, rounds: int) -> Array:

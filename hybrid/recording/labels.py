@@ -137,10 +137,9 @@ def _parse_with_joints(text: str, joints: tuple[str, ...]) -> Meaning | None:
     Labels as this package writes them come first: names may differ in case alone, or be
     those of channels.
     """
-    for joint in joints:
-        for channel in CHANNELS:
-            if text == f"{channel}_{joint}" and not joint.isdigit():
-                return Meaning(channel, joint, why="")
+    channel, _, joint = text.partition("_")
+    if channel in CHANNELS and joint in joints and not joint.isdigit():
+        return Meaning(channel, joint, why="")
     for joint in sorted(joints, key=len, reverse=True):
         at = text.lower().rfind(joint.lower())
         before, after = text[: max(at, 0)], text[at + len(joint) :]

@@ -13,7 +13,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis.answer import words
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.result import Result
-from hybrid.diagnosis.answer.words import effect_name, has_unusual_numbers
+from hybrid.diagnosis.answer.words import effect_name
 from hybrid.effects import effect_classes
 from hybrid.files import atomic_path
 from hybrid.report.diagnosis_data import evidence_matrix, joint_curves
@@ -75,7 +75,6 @@ def render_diagnosis(result: Result, fixed: str = "") -> str:
         remainder=_remainder(result),
         matrix=matrix,
         delays=bool(result.delays),
-        usual_errors=not has_unusual_numbers(diagnosis),
         data=_json_markup(drawn),
         provenance=diagnosis.provenance,
     )

@@ -239,7 +239,8 @@ def _for_unforetold(result: Result, menu: Menu) -> tuple[Plan, ...]:
     unseen = result.diagnosis.unseen
     if unseen is None or not result.diagnosis.findings:
         return ()
-    over = np.divide(unseen.named, np.maximum(unseen.noise, 1e-300))
+    left = np.nan_to_num(unseen.named)  # NaN where a joint does not move
+    over = left / np.maximum(unseen.noise, 1e-300)
     joint = int(np.argmax(over))
     if over[joint] <= ABOVE:
         return ()

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hybrid.diagnosis.answer.events import Event
+from hybrid.diagnosis.prior import Prior
 from hybrid.files import write_json
 from hybrid.shown import Shown, plain
 
@@ -215,6 +216,11 @@ class Diagnosis(Shown):
     unlike: str = ""
     sentence: str = ""
     torque_scale: Value | None = None
+
+    @property
+    def has_usual_numbers(self) -> bool:
+        """Whether errors of the simulator's numbers are as in usual robot files."""
+        return self.background <= Prior().file_errors[1]
 
     def save(self, path: str | Path) -> None:
         """Write the diagnosis to a JSON file."""

@@ -96,6 +96,7 @@ def findings(
             shrink=torque_shrink(seen, without, rng),
         )
         each = [kinds[k] for k in own if kinds[k]]
+        known = [sum(x.values()) for x in each]
         chances = [sum(x.get(a, 0.0) for x in each) for a in finding.alternatives]
         replaced = dict.fromkeys(effects[k].id for k in declared)
         sentence = finding.sentence + "".join(map(_REPLACES.format, replaced))
@@ -103,9 +104,7 @@ def findings(
             finding,
             sentence=sentence,
             chances=tuple(x / max(len(each), 1) for x in chances),
-            probability=sum(sum(x.values()) for x in each) / len(each)
-            if each
-            else np.nan,
+            probability=float(np.mean(known)) if known else np.nan,
         )
         found.append(finding)
     return tuple(sorted(found, key=lambda f: -f.share))

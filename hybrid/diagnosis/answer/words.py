@@ -14,7 +14,6 @@ from hybrid.diagnosis.answer.diagnosis import (
     Value,
     listed,
 )
-from hybrid.diagnosis.prior import Prior
 from hybrid.effects import effect_classes
 from hybrid.shown import decimals_of
 
@@ -30,7 +29,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict of a diagnosis in a sentence."""
     count, explained = len(diagnosis.findings), 1.0 - diagnosis.unexplained
     effects = "one effect" if count == 1 else f"{count} effects"
-    if has_unusual_numbers(diagnosis):
+    if not diagnosis.has_usual_numbers:
         effects, count = f"{effects} and {_NUMBERS}", 2
     part = "over 99%" if explained >= 0.995 else f"{explained:.0%}"
     part = f"{effects} account{'s' * (count == 1)} for {part}"
@@ -54,11 +53,6 @@ def _joints_explained(diagnosis: Diagnosis) -> str:
     return f"nearly all of the gap at {count} of {len(unknown)} joints"
 
 
-def has_unusual_numbers(diagnosis: Diagnosis) -> bool:
-    """Whether masses and inertias of the file were corrected by more than usual."""
-    return diagnosis.background > Prior().file_errors[1]
-
-
 def headline(diagnosis: Diagnosis) -> str:
     """The first effects with their joints, and the gap that is left, in a few words.
 
@@ -69,7 +63,7 @@ def headline(diagnosis: Diagnosis) -> str:
         for f in diagnosis.findings
     ]
     where, causes = joints_named(gap_joints(diagnosis)), _few(named, ", ", "effect")
-    if has_unusual_numbers(diagnosis):
+    if not diagnosis.has_usual_numbers:
         causes += f", {_NUMBERS}"
     text = {
         "no_gap": _fits(diagnosis),

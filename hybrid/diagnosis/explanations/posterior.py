@@ -123,7 +123,7 @@ class Posterior:
         if key not in self._causes:
             columns, std = self.gap.columns(c.effect), c.prior_factor * c.std
             (index,) = self.evidence.add([columns], [std])
-            cost = self._kind_odds(type(c.effect))[0] + price(c.effect)
+            cost = self._kind_odds(self._places(type(c.effect)))[0] + price(c.effect)
             cost += float(size_odds(c.prior_factor))
             self._causes[key] = Cause(c.place, index, cost, c, c.effect.rough)
         return self._causes[key]
@@ -171,19 +171,24 @@ class Posterior:
         places = {c.place for c in causes if c.candidate is not None}
         count, less = Counter(kind for kind, _ in places), 0.0
         for kind, k in count.items():
-            one, every = self._kind_odds(effect_classes()[kind])
+            one, every = self._kind_odds(self._places(effect_classes()[kind]))
             less += max(k * one - every, 0.0)
         return less
 
-    def _kind_odds(self, kind: type[Effect]) -> tuple[float, float]:
+    def _kind_odds(self, places: int) -> tuple[float, float]:
         """Log odds against a kind of cause at one place, and at any of all, [nat].
 
         All kinds are as probable as one that each joint may have.
         """
-        size = self.gap.robot.size
-        places = sum(1 for _ in kind.places(size))
         each = self.prior.cause
-        return each + float(np.log(places / size)), each + places * float(np.log(2.0))
+        one = each + np.log(places / self.gap.robot.size)
+        return float(one), float(each + places * np.log(2.0))
+
+    def _places(self, kind: type[Effect]) -> int:
+        """Number of places for a kind of cause."""
+        size = self.gap.robot.size
+        count: int = self._cached(lambda: sum(1 for _ in kind.places(size)), kind)
+        return count
 
     def file_error_odds(self, error: float) -> float:
         """Log odds against a relative error of the links' numbers, [nat].
@@ -193,7 +198,7 @@ class Posterior:
         """
         typical = self.prior.file_errors[1]
         far = np.log(error / typical) / np.log(self.prior.file_factor)
-        kind = self.prior.cause + self.gap.robot.size * np.log(2.0)
+        _, kind = self._kind_odds(self.gap.robot.size)
         return float(0.5 * far**2 + (kind if error > typical else 0.0))
 
     def refine(self, base: Index, c: Candidate) -> tuple[Candidate, float]:

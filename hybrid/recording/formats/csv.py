@@ -6,7 +6,7 @@ import re
 import warnings
 import zlib
 from codecs import BOM_UTF8
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO, TextIOWrapper
@@ -230,12 +230,18 @@ def _text(path: Path) -> _Text:
         pairs = zip_longest(labels, units, fillvalue="")
         labels = tuple(f"{x} [{unit}]" if unit else x for x, unit in pairs)
         first, above, cells = second, above + 1, _cells(second, delimiter)
-    # Rows may hold whole numbers, until the arm moves.
-    below = (x for x in (first, second, *ahead.decode(errors="replace").splitlines()))
-    row = next((x for x in below if "," in x or "." in x), "")
-    comma = delimiter != "," and "," in row and "." not in row
-    point = "," if comma else "."
+    point = "."
+    if delimiter != ",":
+        point = _decimal_point(
+            [first, second, *ahead.decode(errors="replace").split("\n")]
+        )
     return _Text(path, content, labels, delimiter, point, cells, above)
+
+
+def _decimal_point(rows: Iterable[str]) -> str:
+    """Decimal sign of rows, by the first that has one: at rest, all may be whole."""
+    row = next((x for x in rows if "," in x or "." in x), "")
+    return "," if "," in row and "." not in row else "."
 
 
 def _first_lines(file: BinaryIO) -> tuple[bytes, bytes, bytes, int]:
