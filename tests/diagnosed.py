@@ -2,13 +2,13 @@
 
 from functools import cache
 
+from coarse import Plant, simulate
 from simulated import arm
 
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.diagnose import examine
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_ripple import TorqueRipple
-from hybrid.plant import Plant, simulate
 
 RIPPLE = TorqueRipple((0,), {"sine": 1.5, "cosine": -1.0, "periods": 10.0})
 STRIBECK = Stribeck((1,), {"level": 1.5, "velocity": 0.1})

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 from arms import MODELS
+from coarse import load_truth, simulate
 from scipy.signal import lfilter
 
 from hybrid.dynamics import RigidBody
@@ -14,7 +15,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning
 from hybrid.identification import Fit, Validation, identify, validate
-from hybrid.plant import load_truth, random_fourier, simulate
+from hybrid.plant import random_fourier
 from hybrid.regression.data import Data
 from hybrid.regression.intervals import with_uncertainty
 from hybrid.regression.least_squares import solve_weighted

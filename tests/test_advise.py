@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import diagnosed
 import numpy as np
 import pytest
+from coarse import Plant
 from simulated import arm
 
 from hybrid.diagnosis.advice.advise import advise, choose
@@ -25,7 +26,7 @@ from hybrid.diagnosis.evidence.candidates import candidates
 from hybrid.diagnosis.evidence.refine import gain
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.effects import effect_classes
-from hybrid.plant import Plant, random_fourier
+from hybrid.plant import random_fourier
 from hybrid.plant.reference import Reference
 from hybrid.plant.scale import joint_scales
 

@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from coarse import simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, filtfilt, lfilter
@@ -22,7 +23,7 @@ from hybrid.identification.preparation import motions_from_logs
 from hybrid.inspect import inspect_recording
 from hybrid.model import DynamicModel
 from hybrid.online import OnlineIdentifier, Sample
-from hybrid.plant import random_fourier, simulate
+from hybrid.plant import random_fourier
 from hybrid.report.fit import excerpt_figure
 from hybrid.signals.bandwidth import torque_bandwidth
 

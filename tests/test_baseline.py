@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import pytest
 from arms import MODELS
+from coarse import Plant, simulate
 
 from hybrid.cli import main
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.gap.baseline import Baseline
 from hybrid.effects import effect_class
 from hybrid.identification import identify
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Noise
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 

@@ -7,6 +7,7 @@ import clarabel
 import numpy as np
 import pytest
 from arms import MODELS, public_arm, random_arm
+from coarse import simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import data_of
@@ -27,7 +28,6 @@ from hybrid.exports import export
 from hybrid.identification import identify
 from hybrid.identification.consistency import physically_consistent
 from hybrid.identification.preparation import motions_from_logs
-from hybrid.plant import simulate
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.problem import build_problem
 from hybrid.report.fit import effects_table

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import LIFT, MODELS
+from coarse import Plant, simulate
 from diagnosed import RIPPLE, STRIBECK, faultless, planar
 from marks import studied
 from simulated import arm, quiet
@@ -37,7 +38,7 @@ from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.plant import Noise, Plant, Reference, random_fourier, simulate
+from hybrid.plant import Noise, Reference, random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.recording import Recording
 from hybrid.robot import Robot
@@ -279,7 +280,7 @@ class TestGap:
         gap = planar().gap
         learn = split(gap)
         assert not {*gap.trajectory[learn]} & {*gap.trajectory[~learn]}
-        robot, recordings = logs([], count=1, duration=20.0)
+        robot, recordings = logs([], count=1, duration=10.0)
         single = measure_gap(robot, recordings)
         learn = split(single)
         scored = unseen_samples(single, learn)

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import LIFT
+from coarse import Plant, simulate
 from loop import Loop, commanded_torque
 from simulated import arm
 
@@ -26,7 +27,7 @@ from hybrid.effects.encoder_eccentricity import EncoderEccentricity
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.identification import DynamicModel
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Noise
 from hybrid.report.diagnosis import render_diagnosis
 from hybrid.robot import Robot
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from coarse import Plant, simulate
 from simulated import arm
 
 from hybrid.diagnosis.answer.fixed import SIMULATOR, write_fixed
@@ -14,7 +15,6 @@ from hybrid.diagnosis.gap.background import dry_friction
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import inverse_dynamics
 from hybrid.effects.presliding import Presliding
-from hybrid.plant import Plant, simulate
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 

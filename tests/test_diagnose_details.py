@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from coarse import Plant, simulate
 from simulated import arm, quiet
 
 from hybrid.diagnosis.advice.menu import Experiment, gap_along
@@ -29,7 +30,7 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.errors import RecordingError
-from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.plant import Noise, random_fourier
 from hybrid.plant.joint_fields import declared_effects
 from hybrid.plant.rollout import _before_report
 from hybrid.recording import Recording

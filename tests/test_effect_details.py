@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS, random_arm
+from coarse import Plant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop import Loop, commanded_torque
@@ -20,7 +21,7 @@ from hybrid.effects.delivered import delivered_torque
 from hybrid.effects.elasticity import _swing
 from hybrid.effects.gravity_tilt import level_axes
 from hybrid.errors import EffectError
-from hybrid.plant import Noise, Plant
+from hybrid.plant import Noise
 from hybrid.robot import Robot
 from hybrid.signals import Motion
 

@@ -66,6 +66,7 @@ RICHER = {
     "threshold_friction": {"rising": 1.0, "quadratic": 0.5, "cubic": 0.2},
     "torque_ripple": {"cosine": -0.6},
 }
+SUDDEN = {"stribeck", "encoder_eccentricity"}  # change much within a millisecond
 UNITS = {"", "N", "kg", "m", "s", "rad", "turn", "°C", "K"}
 
 
@@ -88,7 +89,8 @@ def reference() -> Reference:
 
 def log_of(*effects):
     """Motion and what the rigid body does not explain of its torque, without noise."""
-    plant = Plant(robot(), effects, noise=Noise.none(3))
+    step = 0.0005 if any(e.id in SUDDEN for e in effects) else 0.001
+    plant = Plant(robot(), effects, noise=Noise.none(3), step=step)
     (log,) = plant.run([reference()], seed=np.random.default_rng(0))
     motion = motion_from_recording(log, cutoff=np.inf)
     body = RigidBody(robot().chain, motion)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coarse import Plant, simulate
 from pendulum import pendulum
 from scipy.integrate import solve_ivp
 from simulated import arm, motions
@@ -13,7 +14,7 @@ from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.effects.elasticity import Elasticity
-from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.plant import Noise, random_fourier
 from hybrid.signals import Motion
 
 STIFF = {"compliance": 1e-4, "damping": 0.02}

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 from arms import MODELS
+from coarse import Plant, simulate
 
 from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.words import pushes, verdict_lines
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Noise
 from hybrid.report.diagnosis import render_diagnosis
 from hybrid.robot import Robot
 from hybrid.signals import Motion

@@ -5,6 +5,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from coarse import Plant, simulate
 from diagnosed import RIPPLE, STRIBECK
 from simulated import arm
 
@@ -20,7 +21,6 @@ from hybrid.effects.presliding import Presliding
 from hybrid.effects.saturation import Saturation
 from hybrid.effects.stribeck import Stribeck
 from hybrid.errors import HybridWarning
-from hybrid.plant import Plant, simulate
 from hybrid.signals.filters import butterworth
 
 TRUTH = {"ripple": RIPPLE, "stribeck": STRIBECK}

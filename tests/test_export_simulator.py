@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS
+from coarse import load_truth, simulate
 from compiled_model import CompiledModel
 from mujoco_inverse import file_inverse_dynamics
 from simulated import motions, quiet
@@ -25,7 +26,7 @@ from hybrid.exports import export, missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.exports.simulator.simulator import build_simulator
 from hybrid.identification.preparation import log_hash
-from hybrid.plant import install, load_truth, simulate
+from hybrid.plant import install
 from hybrid.plant.joint_fields import split_effects
 from hybrid.plant.lockstep import Lockstep
 from hybrid.recording import read_all, write

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS
+from coarse import Plant, simulate
 from scipy.interpolate import CubicSpline
 from simulated import arm
 from test_simulator_file import CUBE
@@ -29,7 +30,7 @@ from hybrid.exports import build_simulator
 from hybrid.exports.simulator.plan import plan
 from hybrid.files import atomic_folder
 from hybrid.identification import DynamicModel
-from hybrid.plant import Noise, Plant, random_fourier, simulate
+from hybrid.plant import Noise, random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 from hybrid.robot.mjcf import knee_slope

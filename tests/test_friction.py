@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS
+from coarse import load_truth, simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import (
@@ -20,7 +21,6 @@ from simulated import (
 from hybrid.effects import JointState, effect_class
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.identification import identify
-from hybrid.plant import load_truth, simulate
 
 FASTEST = 2.2  # rad/s, of the motions below
 TRUTH = {

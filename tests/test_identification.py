@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from coarse import Plant
 from simulated import arm, motions, quiet, with_torque
 
 from hybrid.dynamics import inverse_dynamics
@@ -17,7 +18,7 @@ from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
 from hybrid.errors import HybridWarning, IdentificationError, RecordingError
 from hybrid.identification import identify, predict, validate
-from hybrid.plant import Plant, random_fourier
+from hybrid.plant import random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from arms import MODELS
+from coarse import Plant, simulate
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import cross_val_score
 
 from hybrid import Identifier, identify, predict
 from hybrid.effects import effect_class
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Noise
 from hybrid.robot import Robot
 
 

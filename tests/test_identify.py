@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coarse import simulate
 from simulated import arm, coman, quiet
 
 from hybrid.diagnosis.diagnose import diagnose
@@ -15,7 +16,6 @@ from hybrid.errors import (
     RecordingError,
 )
 from hybrid.identification import identify, validate
-from hybrid.plant import simulate
 from hybrid.regression.least_squares import ESTIMATORS
 from hybrid.signals import motion_from_recording
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from arms import MODELS
 from blind.robots import load_arm, off_by
+from coarse import simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from marks import studied
 from wrong_logs import WRONG, about, healthy
 
-from hybrid import simulate
 from hybrid.cli import main
 from hybrid.diagnosis.diagnose import examine
 from hybrid.effects.coulomb import Coulomb

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import MODELS
+from coarse import Plant, simulate
 
 import hybrid
 from hybrid.cli import main
@@ -15,7 +16,7 @@ from hybrid.diagnosis.scale import settled
 from hybrid.effects import effect_class
 from hybrid.errors import IdentificationError, RobotError
 from hybrid.identification import identify
-from hybrid.plant import Noise, Plant, simulate
+from hybrid.plant import Noise
 from hybrid.recording import write
 from hybrid.robot import Robot
 

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from arms import public_arm
+from coarse import simulate
 from simulated import arm, quiet
 
 from hybrid.diagnosis.diagnose import examine
@@ -14,7 +15,6 @@ from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.effects.gravity_tilt import GravityTilt
 from hybrid.effects.payload import Payload
 from hybrid.effects.spring import Spring
-from hybrid.plant import simulate
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from coarse import Plant
 from simulated import arm
 
 from hybrid.diagnosis.answer import replay as replaying
@@ -19,7 +20,7 @@ from hybrid.diagnosis.explanations.explanation import explain
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.measure import measure_gap, split
 from hybrid.effects import effect_classes
-from hybrid.plant import Noise, Plant, random_fourier
+from hybrid.plant import Noise, random_fourier
 from hybrid.plant.rollout import Windows, rollout
 from hybrid.plant.scale import joint_scales
 

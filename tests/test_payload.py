@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from coarse import Plant
 from simulated import arm
 
 from hybrid.effects import Scale, effect_class
-from hybrid.plant import Plant
 
 LOAD = {"mass": 1.0, "mx": 0.1, "mz": 0.05, "Ixx": 0.05, "Iyy": 0.06, "Izz": 0.04}
 PLACES = [("payload", (0, 1)), ("link_inertia", (1,)), ("link_inertia", (0,))]

@@ -76,7 +76,7 @@ def hold(q: list[float], duration: float = 1.0) -> Reference:
 
 
 def run(robot, effects=(), references=None, **options):
-    options.setdefault("noise", Noise.none(robot.size))
+    options = {"noise": Noise.none(robot.size), "step": 0.001} | options
     plant = Plant(robot, effects, **options)
     return plant.run(references or motions(robot), seed=np.random.default_rng(0))
 
@@ -133,9 +133,9 @@ def energies(robot, log):
     "options",
     [
         {},
-        {"step": 0.001},
+        {"step": 0.0005},
         {"step": 0.00025, "control_rate": 500.0},
-        {"control_rate": 2000.0, "log_rate": 1000.0},
+        {"step": 0.0005, "control_rate": 2000.0, "log_rate": 1000.0},
         {"integrator": "rk4"},
         {"integrator": "implicit"},
     ],

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arms import MODELS
+from coarse import Plant, simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated import arm
@@ -16,7 +17,6 @@ from hybrid.dynamics import inverse_dynamics
 from hybrid.errors import HybridWarning, RobotError
 from hybrid.exports import model_simulator
 from hybrid.identification import identify
-from hybrid.plant import Plant, simulate
 from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 from hybrid.robot.geometry import capsules_from_robot

@@ -53,6 +53,9 @@ ARM = """<mujoco model="two">
   </actuator>
 </mujoco>
 """
+ONE = re.sub(
+    r'<body name="lower".*?</body>|<position name="b".*?/>', "", ARM, flags=re.S
+)
 SLACK = """<joint name="shoulder/play" axis="0 1 0" limited="true" armature="0.0004"
     range="-{0} {0}" solreflimit="0.002 1" solimplimit="0.99 0.999 1e-3"/>"""
 TABLE = 0.12  # m
@@ -111,14 +114,15 @@ def log(
     if play:
         text = text.replace('armature="0.02"/>', f'armature="0.02"/>{SLACK}')
     model = mujoco.MjModel.from_xml_string(text.format(play))
-    own = [model.joint(x).qposadr[0] for x in ("shoulder", "elbow")]
+    joints = ("shoulder", "elbow")[: model.nu]
+    own = [model.joint(x).qposadr[0] for x in joints]
     for name, value in changed.items():
         getattr(model, name)[:] = value
     model.actuator_biasprm[:, 1] = -model.actuator_gainprm[:, 0]
     if not low:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     command, parts = commands(seed, seconds), round(1 / RATE / model.opt.timestep)
-    command = command + low * np.array([1.3, 0.7])
+    command = (command + low * np.array([1.3, 0.7]))[:, : model.nu]
     command[:, 0] -= 0.6 * (play > 0)  # upright: the load changes its sign
     data = mujoco.MjData(model)
     data.qpos[own] = command[0]
@@ -137,7 +141,6 @@ def log(
                 data.ctrl[0] -= data.qpos[1]
             mujoco.mj_step(model, data)
     measured = np.round(np.array(q) / TICK) * TICK
-    joints = ("shoulder", "elbow")
     return Recording(t, measured, command=command, joints=joints, source=f"log {seed}")
 
 
@@ -147,7 +150,7 @@ def found(folder, stiffness: float = 1.0, delay: float = 0.0):
     kp = np.array([25.0, 20.0 * stiffness])
     gain = np.zeros((2, 10))
     gain[:, 0] = kp
-    logs = [log(k, 6.0, delay, actuator_gainprm=gain) for k in range(2)]
+    logs = [log(k, 4.0, delay, actuator_gainprm=gain) for k in range(2)]
     return fit_servo(arm(folder), logs)
 
 
@@ -709,17 +712,18 @@ def test_coordinates_lead_back_to_the_numbers(numbers):
     assert drive.moved(drive.coordinates).values == pytest.approx(values)
 
 
-def asked_of(folder, logs):
-    """Options of a verb with two short logs, which are written."""
+def asked_of(folder, text=ARM):
+    """Options of a verb with an arm and two short logs, which are written."""
+    (folder / "arm.xml").write_text(text)
     for k in range(2):
-        write(log(k, seconds=3.0), logs / f"{k}.csv")
-    return ["--robot", arm(folder).path, "--recordings", str(logs)]
+        write(log(k, seconds=3.0, arm=text), folder / "logs" / f"{k}.csv")
+    return ["--robot", str(folder / "arm.xml"), "--recordings", str(folder / "logs")]
 
 
 @pytest.mark.study
-def test_identify_writes_a_simulator_and_numbers(folder, tmp_path, capsys):
+def test_identify_writes_a_simulator_and_numbers(tmp_path, capsys):
     fixed, numbers = tmp_path / "fixed.xml", tmp_path / "fit.json"
-    asked = asked_of(folder, tmp_path / "logs")
+    asked = asked_of(tmp_path)
     code = main(["identify", *asked, "--out", str(fixed), "--json", str(numbers)])
     assert code == 0, capsys.readouterr().err
     mujoco.MjModel.from_xml_path(str(fixed))
@@ -729,14 +733,14 @@ def test_identify_writes_a_simulator_and_numbers(folder, tmp_path, capsys):
     assert content["scale"] == "masses of the file"
 
 
-def test_diagnose_writes_a_simulator_with_a_known_mass(folder, tmp_path, capsys):
-    asked = asked_of(folder, tmp_path / "logs")
-    out, scale = tmp_path / "found", ["--known-mass", "elbow=0.6"]
+def test_diagnose_writes_a_simulator_with_a_known_mass(tmp_path, capsys):
+    asked = asked_of(tmp_path, ONE)
+    out, scale = tmp_path / "found", ["--known-mass", "shoulder=0.9"]
     assert main(["diagnose", *asked, *scale, "--out", str(out)]) == 0
     twice = json.loads((out / "diagnosis.json").read_text())
-    assert twice["scale"] == ["elbow"]
+    assert twice["scale"] == ["shoulder"]
     fixed_mass = mujoco.MjModel.from_xml_path(str(out / "sim_fixed.xml")).body_mass
-    assert fixed_mass[2] == pytest.approx(0.6)
+    assert fixed_mass[1] == pytest.approx(0.9)
     names = {path.name for path in out.iterdir()}
     assert names == {"report.html", "diagnosis.json", "sim_fixed.xml"}
     assert "mrad" in capsys.readouterr().out

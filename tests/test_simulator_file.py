@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MODELS
+from coarse import Plant, simulate
 from mujoco_inverse import file_inverse_dynamics
 from simulated import motions, quiet
 from test_export import model_of
@@ -39,7 +40,7 @@ from hybrid.exports import build_simulator
 from hybrid.exports.simulator.check import file_torque
 from hybrid.exports.simulator.friction import approximate_friction, curve
 from hybrid.exports.simulator.plan import plan
-from hybrid.plant import Plant, install, simulate
+from hybrid.plant import install
 from hybrid.plant.joint_fields import declared_effects
 from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator

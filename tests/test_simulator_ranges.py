@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from coarse import Plant, simulate
 from simulated import arm
 
 from hybrid.dynamics import effect_gains, stacked_base
@@ -20,7 +21,6 @@ from hybrid.exports.simulator.posterior import _changed
 from hybrid.files import read_yaml
 from hybrid.identification import identify
 from hybrid.model import DynamicModel
-from hybrid.plant import Plant, simulate
 from hybrid.robot.chain import INERTIAL_NAMES
 
 NAMES = ("armature", "damping", "frictionloss")

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import random_arm, random_states
+from coarse import Plant
 from pendulum import pendulum
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
@@ -25,7 +26,7 @@ from hybrid.excitation import multisine
 from hybrid.excitation.clearance import ends_in_world
 from hybrid.identification.friction import _columns, _knots, _maps, _shapes
 from hybrid.identification.remainder import _best_inputs, _candidates
-from hybrid.plant import Plant, random_fourier
+from hybrid.plant import random_fourier
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import limits
 from hybrid.regression.data import Residual

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coarse import Plant
 from simulated import arm, quiet
 
 from hybrid.dynamics import RigidBody
@@ -10,7 +11,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.viscous import Viscous
 from hybrid.identification import DynamicModel, identify, solver
-from hybrid.plant import Noise, Plant, random_fourier
+from hybrid.plant import Noise, random_fourier
 from hybrid.regression.problem import build_problem
 from hybrid.signals import motion_from_recording
 

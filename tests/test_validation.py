@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coarse import simulate
 from simulated import arm, quiet
 
 from hybrid.dynamics import inverse_dynamics, stacked_base
@@ -21,7 +22,7 @@ from hybrid.errors import (
 )
 from hybrid.identification import DynamicModel, identify, predict, validate
 from hybrid.identification.validation import noise_floor
-from hybrid.plant import random_fourier, simulate
+from hybrid.plant import random_fourier
 from hybrid.recording import Recording
 from hybrid.report.output import plain
 from hybrid.report.table import table_from_validation

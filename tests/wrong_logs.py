@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from coarse import Plant
 
-from hybrid.plant import Plant, random_fourier
+from hybrid.plant import random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 
