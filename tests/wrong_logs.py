@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from coarse import Plant
 
-from hybrid.plant import random_fourier
+from hybrid.plant import Plant, random_fourier
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 
@@ -234,5 +233,6 @@ def healthy(
     if rest is not None:
         moves = np.arange(robot.size) != rest
         r = replace(r, q=np.where(moves, r.q, r.q[0]), v=r.v * moves, a=r.a * moves)
-    (x,) = Plant(robot, effects, nominal=believed).run([r], seed=rng)
+    plant = Plant(robot, effects, nominal=believed, step=0.001)
+    (x,) = plant.run([r], seed=rng)
     return replace(x, q=x.q + count * rng.standard_normal(x.q.shape))
