@@ -404,6 +404,19 @@ def test_an_export_names_the_files_of_its_own_format(chain, tmp_path, capsys):
     assert (tmp_path / "model.json").exists()
 
 
+def test_another_file_of_the_robots_name_beside_a_model_is_told(
+    chain, tmp_path, capsys
+):
+    (tmp_path / "model.json").write_bytes(chain.model.read_bytes())
+    (tmp_path / "planar.xml").write_text(LIFT, "utf-8")
+    export = f"export --model {tmp_path}/model.json --out {tmp_path}/out"
+    assert main([*export.split(), "--format", "mjcf"]) == 2
+    said = capsys.readouterr().err
+    assert "planar.xml: " in said and "it was found beside" in said
+    assert "--robot FILE names another" in said and not (tmp_path / "out").exists()
+    run(f"{export} --format c")  # which takes nothing of it
+
+
 class TestSlidingJoints:
     """Their units are m and N wherever a table or a file states one."""
 

@@ -5,6 +5,7 @@ import types
 from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from pendulum import pendulum, swings
@@ -37,8 +38,10 @@ from hybrid.exports.simulator.model import (
 )
 from hybrid.exports.simulator.plan import plan
 from hybrid.exports.simulator.ranges import Ranges, ranges
+from hybrid.exports.simulator.simulator import build_simulator
 from hybrid.exports.simulator.snippets import isaac_events, isaac_lab, mjx, mjx_notes
 from hybrid.model.program import Program, program_from_model
+from hybrid.robot import Robot
 
 
 def operations() -> Program:
@@ -260,17 +263,11 @@ def run(text, monkeypatch):
     return names
 
 
-def test_events_have_the_interval_of_each_joint_and_none_below_zero(monkeypatch):
+def test_an_interval_is_of_a_joint_and_a_number():
     found = spread()
     low, high = found.of("frictionloss")
     np.testing.assert_array_equal([low, high], [found.low[:2], found.high[:2]])
     assert np.isnan(found.of("armature")[0][0]) and np.isnan(found.of("mass")).all()
-    table = run(isaac_events("arm", found), monkeypatch)["_RANGES"]
-    assert table["a"] == {"friction_distribution_params": (low[0], high[0])}
-    assert table["b"]["friction_distribution_params"] == (max(low[1], 0.0), high[1])
-    assert low[1] < 0.05
-    own = found.of("armature")
-    assert table["b"]["armature_distribution_params"] == (own[0][1], own[1][1])
     content = found.as_dict()
     assert content["level"] == 0.95
     assert content["parameters"][2] == {
@@ -279,29 +276,131 @@ def test_events_have_the_interval_of_each_joint_and_none_below_zero(monkeypatch)
     }  # fmt: skip
 
 
-def test_draws_for_mjx_have_the_covariance_of_the_posterior(monkeypatch):
+def nominal() -> Robot:
+    """The arm of :func:`spread`."""
+    robot = pendulum(2)
+    chain = replace(robot.chain, joints=("a", "b"), armature=np.array([0.3, 0.5]))
+    friction = {"frictionloss": np.array([1.0, 0.2]), "damping": np.array([0.7, 0.8])}
+    return replace(robot, chain=chain, **friction)
+
+
+def test_isaac_lab_gets_all_friction_of_a_joint_and_its_rotor(monkeypatch):
+    """Static and dynamic friction alike, and viscous friction as such."""
+    torch = pytest.importorskip("torch")
+    found, wrote = spread(), {}
+
+    class Arm:
+        device = "cpu"
+
+        def find_joints(self, names, preserve_order):
+            assert names == ["a", "b"] and preserve_order
+            return [4, 5], names
+
+        def write_joint_friction_coefficient_to_sim(self, **given):
+            wrote.update(given)
+
+        def write_joint_armature_to_sim(self, rotors, joint_ids, env_ids):
+            wrote["rotors"] = rotors
+
+    made = run(isaac_events("arm", found, nominal()), monkeypatch)
+    (event,) = made["EVENTS"].values()
+    env = types.SimpleNamespace(scene={"robot": Arm()}, num_envs=2000)
+    event["func"](env, None)
+    dry, viscous = wrote["joint_friction_coeff"], wrote["joint_viscous_friction_coeff"]
+    assert wrote["joint_ids"] == [4, 5] and len(wrote["env_ids"]) == 2000
+    assert torch.equal(dry, wrote["joint_dynamic_friction_coeff"])
+    drawn = torch.cat([dry, wrote["rotors"][:, 1:]], dim=1).double().numpy()
+    np.testing.assert_allclose(drawn.mean(0), found.draws.mean(0), atol=0.02)
+    np.testing.assert_allclose(np.cov(drawn.T), np.cov(found.draws.T), atol=4e-3)
+    assert np.unique(viscous.numpy(), axis=0) == pytest.approx(np.array([[0.7, 0.8]]))
+    assert np.unique(wrote["rotors"][:, 0].numpy()) == pytest.approx([0.3])
+    event["func"](env, torch.tensor([7]))
+    assert wrote["joint_friction_coeff"].shape == (1, 2)
+
+
+class Drawn(np.ndarray):
+    """An array that is changed as those of JAX are."""
+
+    @property
+    def at(self):
+        source = self
+
+        class Places:
+            def __getitem__(self, where):
+                def put(x):
+                    out = source.copy()
+                    out[where] = x
+                    return out
+
+                return types.SimpleNamespace(set=put)
+
+        return Places()
+
+
+class Model:
+    """A model of MJX, as far as the function needs one."""
+
+    impl = types.SimpleNamespace(value="warp")
+
+    def __init__(self, **fields):
+        self.__dict__.update(fields)
+
+    def tree_replace(self, fields):
+        return Model(**{**self.__dict__, **fields})
+
+
+def randomised(text, compiled, draws, monkeypatch):
+    """Fields of each of some draws of a function for MJX."""
     jax = types.ModuleType("jax")
     jax.numpy = types.ModuleType("jax.numpy")
-    jax.vmap = lambda f: f
+    jax.numpy.array = lambda x: np.array(x).view(Drawn)
+    jax.random = types.SimpleNamespace(randint=lambda key, *_: key)
+    jax.tree_util = types.SimpleNamespace(tree_map=lambda _, model: Model())
+    jax.vmap = lambda f: (
+        lambda keys: {name: np.stack([f(k)[name] for k in keys]) for name in f(keys[0])}
+    )
     monkeypatch.setitem(sys.modules, "jax", jax)
     monkeypatch.setitem(sys.modules, "jax.numpy", jax.numpy)
-    found = spread()
-    nominal = {
-        "frictionloss": np.array([1.0, 0.2]), "armature": np.array([0.3, 0.5]),
-        "damping": np.zeros(2),
-    }  # fmt: skip
     names = {}
-    exec(compile(mjx("arm", found, nominal), "mjx", "exec"), names)
-    assert names["_FIELDS"] == [
-        ("dof_armature", None, False), ("dof_frictionloss", None, False)
-    ]  # fmt: skip
-    assert names["_MEAN"] == [0.3, 0.5, 1.0, 0.2] and names["_JOINTS"] == ["a", "b"]
-    factor = np.array(names["_FACTOR"])
-    assert factor.shape == (4, 3)
-    expected = np.zeros((4, 4))
-    at = [2, 3, 1]
-    expected[np.ix_(at, at)] = np.cov(found.draws, rowvar=False)
-    np.testing.assert_allclose(factor @ factor.T, expected, atol=1e-12)
+    exec(compile(text, "mjx", "exec"), names)
+    fields = (
+        "dof_armature", "dof_damping", "dof_frictionloss", "dof_dampingpoly",
+        "tendon_frictionloss",
+    )  # fmt: skip
+    model = Model(**{x: getattr(compiled, x).view(Drawn) for x in fields})
+    out, axes = names["domain_randomize"](model, range(draws), compiled)
+    changed = vars(axes)
+    assert set(changed.values()) == {0}
+    return {x: getattr(out, x) for x in changed}
+
+
+@pytest.mark.parametrize("rises", [False, True])
+def test_the_function_for_mjx_puts_draws_where_the_file_has_the_numbers(
+    rises, monkeypatch
+):
+    """Friction that rises takes the place of dry friction, which it once erased."""
+    found, robot = spread(40), nominal()
+    keys = found.keys
+    if rises:
+        level, speed = np.array([0.0, 2.0]), np.array([0.0, 0.1])
+        robot = replace(robot, knee=level, knee_speed=speed)
+        keys = (keys[0], keys[1], ("b", "knee"))
+    text = mjx("arm", replace(found, keys=keys), robot)
+    made = mujoco.MjModel.from_xml_string(build_simulator(robot).text.decode())
+    fields = randomised(text, made, 40, monkeypatch)
+    expected = {
+        x: np.tile(getattr(made, x), (40, 1)) for x in fields
+    }  # those that are not drawn stay
+    draws = found.draws
+    if rises:
+        expected["dof_frictionloss"][:] = draws[:, [0, 2]]
+        expected["tendon_frictionloss"][:, 0] = draws[:, 1]
+    else:
+        expected["dof_frictionloss"][:] = draws[:, :2]
+        expected["dof_armature"][:, 1] = draws[:, 2]
+    assert fields.keys() == expected.keys()
+    for name, x in expected.items():
+        np.testing.assert_allclose(fields[name], x, rtol=1e-4)
 
 
 def test_what_mjx_on_jax_does_not_take_is_said_by_joint():
@@ -325,6 +424,7 @@ def test_isaac_lab_gets_the_servo_of_the_file_as_the_model_changes_it(monkeypatc
         ControllerGain((1,), {"stiffness": -0.2, "damping": 0.5}),
         CommandLatency((0,), {"time": 0.012}), Viscous((1,), {"coefficient": 0.4}),
         Coulomb((0,), {"level": 0.3}), TorqueOffset((1,), {"level": 0.1}),
+        Spring((0,), {"stiffness": 3.0}),
     ]  # fmt: skip
     text, notes = isaac_lab(model_of(robot, effects), swings(2, count=1))
     own = run(text, monkeypatch)["ACTUATORS"]["arm"]
@@ -336,11 +436,29 @@ def test_isaac_lab_gets_the_servo_of_the_file_as_the_model_changes_it(monkeypatc
     assert own["viscous_friction"] == pytest.approx({joints[0]: 0.0, joints[1]: 0.4})
     assert own["dynamic_friction"] == pytest.approx({joints[0]: 0.3, joints[1]: 0.0})
     assert (own["min_delay"], own["max_delay"]) == (2, 3)  # 12 ms by steps of 5 ms
-    assert len(notes) == 1 and notes[0].startswith("torque_offset of hinge_1")
+    assert set(notes) == {
+        "torque_offset of hinge_1 (level 0.1 N·m)",
+        "spring of hinge_0 (stiffness 3 N·m/rad)",
+    }
     stepped = replace(robot, timestep=0.004)
     text, _ = isaac_lab(model_of(stepped, effects), swings(2, count=1))
     own = run(text, monkeypatch)["ACTUATORS"]["arm"]
     assert (own["min_delay"], own["max_delay"]) == (3, 3)
+
+
+def test_friction_of_all_draws_rises_at_the_speed_of_the_files():
+    """Each form of its own would put dry friction where a level is that it rises to."""
+    rising = {"rising": 1.0, "threshold": 0.4, "width": 0.1, "viscous": 0.2}
+    model = model_of(pendulum(2), [ThresholdFriction((0,), rising)])
+    motions = (usual_motion(model),)
+    form = fields_of_model(model, motions)
+    assert form.knee[0] > 0.5 and not form.knee[1]
+    for level, slope in ((0.0, 0.5), (2.0, 0.0), (0.3, 3.0)):
+        drawn = model.effects[0].at({"rising": level, "viscous": slope})
+        found = fields_of_model(replace(model, effects=(drawn,)), motions, form=form)
+        assert found.knee_speed[0] in (form.knee_speed[0], 0.0)
+        assert (found.knee[0] > 0.1) == (level > 0) and not found.knee[1]
+        assert found.frictionloss[0] < 0.2
 
 
 def test_intervals_are_those_of_the_draws():

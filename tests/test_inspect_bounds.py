@@ -26,6 +26,29 @@ def said(x, word, tau=None):
     return any(word in doubt.text for doubt in doubts_of_rows(log))
 
 
+@pytest.mark.parametrize("drop", [0.05, 0.1, 0.2])
+def test_rows_that_were_lost_are_neither_a_glitch_nor_a_jump(drop):
+    """As a subscriber loses them; a position that is wrong there is still found."""
+    t = np.arange(0.0, 20.0, 0.004)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        kept = np.sort(rng.choice(len(t), round((1 - drop) * len(t)), replace=False))
+        q = np.c_[0.4 * np.sin(2 * t), 0.3 * np.cos(1.3 * t)][kept]
+        assert not list(doubts_of_rows(Recording(t[kept], q, joints=("a", "b"))))
+        wrong = q.copy()
+        wrong[1000, 1] += 0.5
+        (doubt,) = doubts_of_rows(Recording(t[kept], wrong, joints=("a", "b")))
+        assert "glitch" in doubt.text and doubt.joints == (1,)
+
+
+def test_a_joint_goes_far_in_a_long_time():
+    """Twelve rows are lost: no jump, which the same step in one row is."""
+    t = np.delete(np.arange(0.0, 4.0, 0.01), range(200, 212))
+    q = 0.5 * t[:, None]
+    assert not list(doubts_of_rows(Recording(t, q, joints=("a",))))
+    assert said(q[:, 0], "jumps")
+
+
 def jumped(size, *, near=0.01, rest=0.01, at=200, other=()):
     """Positions that jump among steps that are ``near``, and ``rest`` far from it."""
     steps = np.full(400, rest)

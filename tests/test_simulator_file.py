@@ -902,5 +902,9 @@ def test_sliding_friction_of_a_passive_motor_is_dry_friction_of_its_joint(tmp_pa
     for _ in range(20):
         mujoco.mj_step(mj, data)
     np.testing.assert_allclose(data.actuator_force[-1], 0.0, atol=1e-9)
+    # As a cell of a notebook that is run twice: the first one is gone.
+    again = install(mj, data, own)
     installed.remove()
+    np.testing.assert_array_equal(mj.actuator_dynprm[-1, 6], 0.0)
+    again.remove()
     np.testing.assert_array_equal(mj.actuator_dynprm, before)

@@ -111,14 +111,19 @@ def _with_file(model: DynamicModel, args: Namespace) -> DynamicModel:
     """The model with its robot's file, as given or beside the model."""
     if args.robot and not args.robot.is_file():
         raise HybridError(f"{args.robot}: no such robot file")
-    if args.robot:
-        args.inputs.append(args.robot)
-        own = model.robot
-        check_same_arm(
-            model, Robot.load(args.robot, joints=own.joints, held=dict(own.held))
-        )
-    beside = args.model.parent / model.robot.path
-    path = args.robot or (beside if model.robot.path and beside.is_file() else "")
+    own, beside = model.robot, args.model.parent / model.robot.path
+    path = args.robot or (beside if own.path and beside.is_file() else "")
+    if args.robot or (path and args.format in _SCORED):
+        args.inputs.append(path)
+        try:
+            robot = Robot.load(path, joints=own.joints, held=dict(own.held))
+            check_same_arm(model, robot)
+        except HybridError as error:
+            if args.robot:
+                raise
+            raise HybridError(
+                f"{error}; it was found beside {args.model}, --robot FILE names another"
+            ) from error
     if not path and args.format in _SCORED:
         warn(
             f"{model.robot.path or 'the robot file'}: not beside {args.model}; only "

@@ -39,11 +39,19 @@ def doubts_of_rows(recording: Recording, robot: Robot | None = None) -> Iterator
 
 
 def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
-    """Find single wrong positions: second differences in the ratio 1, −2, 1."""
-    bend = np.diff(x, 2)
+    """Find single wrong positions: second differences in the ratio 1, −2, 1.
+
+    A bend is twice the distance of a position from the line between its neighbours, of
+    which each has a weight; on a regular clock it is the second difference.
+    """
+    dt = np.diff(recording.t)
+    before = dt[1:] / (dt[1:] + dt[:-1])  # weight of the neighbour before
+    bend = 2 * (before * x[:-2] + (1 - before) * x[2:] - x[1:-1])
     size = np.abs(bend)
-    half = -bend / 2
-    shape = [np.abs(np.roll(bend, k) - half) < _SHAPE_ERROR * size for k in (-1, 1)]
+    shape = [
+        np.abs(np.roll(bend, -k) + bend * np.roll(weight, -k)) < _SHAPE_ERROR * size
+        for k, weight in ((1, before), (-1, 1 - before))
+    ]
     nearby = np.maximum(*_largest_beside(size, 3))
     usual = _LEAP * float(np.quantile(size, 0.75))
     least = max(_ENCODER_NOISE * resolution(x), usual, 2 * STILL)
@@ -59,21 +67,24 @@ def _glitches(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
 
 def _jumps(recording: Recording, joint: int, x: Array) -> Iterator[Doubt]:
     """Find steps of a position that are too large for a moving joint."""
-    size = np.abs(np.diff(x))
+    dt = np.diff(recording.t)
+    # Where rows are lost, a joint has more time for its step.
+    size = np.abs(np.diff(x)) * np.minimum(np.median(dt) / dt, 1.0)
     before, after = _largest_beside(size, 1)
     least = max(_ENCODER_NOISE * resolution(x), 2 * large_step(x))
     found = (size > _LEAP * np.maximum(before, after)) & (size > least)
     # Rest on one side of the jump only: a frozen encoder, which has its own check.
     found &= (before > 0) == (after > 0)
     for k in np.flatnonzero(found)[:1].tolist():
-        turn = abs(float(size[k]) - 2 * np.pi) < _TURN_ERROR
+        step = abs(float(x[k + 1] - x[k]))
+        turn = abs(step - 2 * np.pi) < _TURN_ERROR
         what = "a turn of the encoder is not counted" if turn else "logs put together?"
         text = (
             f"{recording.place('q', joint, k + 1)}: jumps from {x[k]:.6g} to "
             f"{x[k + 1]:.6g} within a sample: {what}"
         )
         remedy = "valid are positions as the joint passed them"
-        yield Doubt("q", (joint,), text, remedy, "error", float(size[k]), rows=True)
+        yield Doubt("q", (joint,), text, remedy, "error", step, rows=True)
 
 
 def _bursts(recording: Recording, robot: Robot) -> Iterator[Doubt]:

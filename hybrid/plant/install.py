@@ -95,10 +95,12 @@ class Installed:
         model.actuator_dynprm[motors, 6] = 0.0  # damping of bristles
 
     def remove(self) -> None:
-        """Restore the simulation."""
+        """Restore the simulation, if that has not been done."""
+        if _INSTALLED.get(id(self._data)) is not self:
+            return
         for name, x in self._before.items():
             getattr(self._model, name)[:] = x
-        _INSTALLED.pop(id(self._data), None)
+        del _INSTALLED[id(self._data)]
         if not _INSTALLED:
             import mujoco
 
@@ -144,7 +146,7 @@ def install(
     and an approximation of friction curves. This replaces the approximation by the
     curve, and adds the other effects and the learned torque. It uses MuJoCo's
     passive-force callback, of which a process has only one: other code that sets the
-    callback removes this.
+    callback removes this. What was installed in the simulation before is removed.
 
     Args:
         model: The exported MJCF file, compiled; it may contain other bodies too.
@@ -159,6 +161,8 @@ def install(
     """
     import mujoco
 
+    if (earlier := _INSTALLED.get(id(data))) is not None:
+        earlier.remove()
     installed = Installed(model, data, dynamic_model)
     _INSTALLED[id(data)] = installed
     mujoco.set_mjcb_passive(_add)

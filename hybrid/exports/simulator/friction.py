@@ -80,6 +80,7 @@ def approximate_friction(
     moved: Sequence[tuple[Motion, RigidBody]],
     fields: Collection[str],
     highest: float = 0.0,
+    form: Mapping[str, float] | None = None,
 ) -> FittedFriction:
     """Approximate the friction of a joint.
 
@@ -90,6 +91,8 @@ def approximate_friction(
         moved: Motions, and the rigid body along each.
         fields: Fields of a joint in the simulator.
         highest: Speed up to which the approximation shall hold, [rad/s].
+        form: ``knee_speed`` and ``fall_speed`` to take, 0 for none; by default they
+            are searched.
     """
     (j,) = {j for effect in effects for j in effect.joints}
     preload = exact.get("preload", 0.0)  # of a spring, not of friction
@@ -116,6 +119,7 @@ def approximate_friction(
         np.r_[v, speeds],
         fields,
         exact.get("knee_speed", 0.0),
+        form=form,
         weight=np.r_[np.ones_like(v), weight],
         fastest=fastest,
     )
@@ -131,6 +135,7 @@ def _fit(
     fields: Collection[str],
     known: float,
     *,
+    form: Mapping[str, float] | None = None,
     weight: Array | float = 1.0,
     fastest: float = 0.0,
 ) -> dict[str, float]:
@@ -139,13 +144,14 @@ def _fit(
     The best knee and fall are searched in turn, once from no knee and once from the
     best knee.
     """
-    always, knees, falls = _parts(fastest or float(np.abs(v).max()), fields, known)
+    fastest = fastest or float(np.abs(v).max())
+    always, knees, falls = _parts(fastest, fields, known, form)
     parts = [*always, *chain(*knees), *chain(*falls)]
     A = np.stack([weight * curve(x, v) for x in parts], axis=1)  # (N, parts)
     torque = torque * weight
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
-    R = np.linalg.qr(np.c_[A / size, torque], mode="reduced").R
+    R = np.linalg.qr(np.c_[A / size, torque], mode="r")
     penalty = float((_LEAST * np.linalg.norm(torque)) ** 2)
 
     def fit(knee: Parts, fall: Parts) -> tuple[float, Array]:
@@ -171,10 +177,17 @@ def _fit(
 
 
 def _parts(
-    fastest: float, fields: Collection[str], known: float
+    fastest: float,
+    fields: Collection[str],
+    known: float,
+    form: Mapping[str, float] | None,
 ) -> tuple[Parts, list[Parts], list[Parts]]:
     """Terms of every fit, and choices of a knee and of a fall; the first is none."""
     always = [*_smooth(fastest, fields), *_dry(0.0, fields)]
+    if form is not None:
+        w, u = form["knee_speed"], form["fall_speed"]
+        bent = [{"fall": 1.0, "fall_speed": u}] if u else []
+        return always, [list(_dry(w, fields)) if w else []], [bent]
     knees: list[Parts] = [[]]
     falls: list[Parts] = [[]]
     if "knee" in fields:

@@ -30,7 +30,7 @@ def model_simulator(
 
     Args:
         model: An identified model; ``model.robot.path`` is the file.
-        kind: ``mjcf`` or ``urdf``.
+        kind: ``mjcf``, ``urdf``, or ``isaaclab``, a URDF file without springs.
         motions: Motions with the speeds at which friction is fitted; by default one
             within the range of the recordings.
         folder: Folder of the new file, if it is another one.
@@ -86,12 +86,18 @@ def _bare(model: DynamicModel) -> Robot:
 
 
 def fields_of_model(
-    model: DynamicModel, motions: Sequence[Motion], kind: str = "mjcf"
+    model: DynamicModel,
+    motions: Sequence[Motion],
+    kind: str = "mjcf",
+    form: Robot | None = None,
 ) -> Robot:
-    """The arm with all parameters of a model that a kind of file can express."""
+    """The arm with all parameters of a model that a kind of file can express.
+
+    Friction that is fitted rises and falls at the speeds of ``form``, if there is one.
+    """
     assert model.inertial is not None
     robot = _bare(model).with_inertial(model.inertial)
-    return plan(robot, model.effects, kind, motions).change.robot
+    return plan(robot, model.effects, kind, motions, form).change.robot
 
 
 def usual_motion(model: DynamicModel) -> Motion:

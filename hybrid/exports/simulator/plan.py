@@ -39,12 +39,14 @@ from hybrid.signals import Motion
 JOINT_FIELDS = {
     "mjcf": tuple(FIELDS),
     "urdf": ("armature", "damping", "frictionloss", "stiffness", "preload"),
+    "isaaclab": ("armature", "damping", "frictionloss"),
 }  # fmt: skip
 _CURVE = {
     "mjcf": (
         "frictionloss", "damping", "quadratic", "cubic", "preload", "knee", "fall",
     ),
     "urdf": ("frictionloss", "damping"),
+    "isaaclab": ("frictionloss", "damping"),
 }  # fmt: skip
 
 
@@ -66,9 +68,16 @@ class Plan:
 
 
 def plan(
-    robot: Robot, effects: Sequence[Effect], kind: str, motions: Sequence[Motion]
+    robot: Robot,
+    effects: Sequence[Effect],
+    kind: str,
+    motions: Sequence[Motion],
+    form: Robot | None = None,
 ) -> Plan:
-    """Decide how a file of an arm expresses it and further effects."""
+    """Decide how a file of an arm expresses it and further effects.
+
+    Friction that is fitted rises and falls at the speeds of ``form``, if there is one.
+    """
     n, mjcf = robot.size, kind == "mjcf"
     inertial, gravity = robot.chain.inertial, robot.chain.gravity
     acting = declared_effects(replace(robot, knee=np.zeros(n)))
@@ -79,13 +88,13 @@ def plan(
         else:
             inertial, gravity = inertial + rigid[0], gravity + rigid[1]
     values, others = split_effects(acting, JOINT_FIELDS[kind], n)
-    if not mjcf:
+    if kind == "urdf":
         others += _offsets(values)
     chain = replace(robot.chain, inertial=inertial, gravity=gravity)
     friction = [effect for effect in others if is_friction(effect)]
     robot, friction = with_curves(robot, friction, mjcf)
     fitted = _fitted_friction(
-        replace(robot, chain=chain), friction, values, kind, motions
+        replace(robot, chain=chain), friction, values, kind, motions, form
     )
     rest = [effect for effect in others if not is_friction(effect)]
     ripples = [e for e in rest if mjcf and isinstance(e, TorqueRipple)]
@@ -140,6 +149,7 @@ def _fitted_friction(
     values: dict[str, Array],
     kind: str,
     motions: Sequence[Motion],
+    form: Robot | None,
 ) -> tuple[FittedFriction, ...]:
     """Approximate friction that has no field, joint by joint."""
     if not friction:
@@ -155,9 +165,19 @@ def _fitted_friction(
             moved,
             _CURVE[kind],
             float(highest[j]),
+            _form(form, j),
         )
         for j in sorted({effect.joints[0] for effect in friction})
     )
+
+
+def _form(robot: Robot | None, joint: int) -> dict[str, float] | None:
+    """Speeds at which the friction of a joint rises and falls; 0 for none."""
+    if robot is None:
+        return None
+    falls = {int(j): speed for j, _, speed in robot.falling.tolist()}
+    rises = robot.knee_speed[joint] if robot.knee[joint] else 0.0
+    return {"knee_speed": float(rises), "fall_speed": falls.get(joint, 0.0)}
 
 
 def _with_fields(

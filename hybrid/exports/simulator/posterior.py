@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from hybrid.arrays import Array
 from hybrid.dynamics.pseudo_inertia import (
@@ -15,6 +16,7 @@ from hybrid.effects import Effect
 from hybrid.errors import HybridError
 from hybrid.model.dynamic_model import DynamicModel
 
+_SURE = 1e-12  # smallest eigenvalue of the gains' correlation, of the largest
 _THINNEST = 1e-6  # smallest squared width of a drawn link, relative to the nominal one
 
 
@@ -25,7 +27,8 @@ def sample(
 
     Base parameters and linear gains are drawn from their joint covariance, other gains
     from their own standard deviations. A link that is not physical is replaced by the
-    nearest one that is, and negative friction by zero.
+    nearest one that is, and gains below their bounds, as negative friction, by the most
+    probable ones within them: what all gains together say of the torque stays.
 
     Args:
         model: An identified model with physically consistent links.
@@ -40,18 +43,57 @@ def sample(
             "ranges need links that could be built and how sure their numbers are; "
             "identify again with consistent=True, on the command line --consistent"
         )
-    factor = _factor(model.covariance)
+    factor, bounded = _factor(model.covariance), _Bounded(model)
     jacobian = _link_jacobian(model)
     rng = np.random.default_rng(seed)
-    return tuple(_draw(model, factor, jacobian, rng) for _ in range(n))
+    return tuple(_draw(model, factor, bounded, jacobian, rng) for _ in range(n))
+
+
+class _Bounded:
+    """Changes of parameters with which all gains are within their bounds."""
+
+    def __init__(self, model: DynamicModel) -> None:
+        """Take bounds and covariance from a model."""
+        self._least = np.full(len(model.base.kept), -np.inf)
+        at = {label: k for k, label in enumerate(model.base.kept_labels)}
+        for effect in model.effects:
+            labels = gain_labels(model.robot.joints, model.effects, effect)
+            for gain, low, label in zip(
+                effect.gains, effect.least_gains, labels, strict=True
+            ):
+                if label in at:
+                    self._least[at[label]] = min(low, 0.0) - effect.values[gain.name]
+        self._held = np.flatnonzero(np.isfinite(self._least))
+        own = model.covariance[np.ix_(self._held, self._held)]
+        self._size = np.sqrt(np.diagonal(own)) + np.finfo(float).tiny
+        values, vectors = np.linalg.eigh(own / np.outer(self._size, self._size))
+        values = np.maximum(values, _SURE * values.max(initial=1.0))
+        self._root = (vectors / np.sqrt(values)).T  # of the inverse correlation
+        across = model.covariance[:, self._held] / self._size
+        self._follow = across @ self._root.T @ self._root
+
+    def __call__(self, change: Array) -> Array:
+        """The most probable change within the bounds, near a change of shape (b,)."""
+        low = self._least[self._held] / self._size
+        wanted = change[self._held] / self._size
+        if (wanted >= low).all():
+            return change
+        above, _ = nnls(self._root, self._root @ (wanted - low))
+        found = change + self._follow @ (low + above - wanted)
+        found[self._held] = (low + above) * self._size
+        return np.asarray(found)
 
 
 def _draw(
-    model: DynamicModel, factor: Array, jacobian: Array, rng: np.random.Generator
+    model: DynamicModel,
+    factor: Array,
+    bounded: _Bounded,
+    jacobian: Array,
+    rng: np.random.Generator,
 ) -> DynamicModel:
     assert model.inertial is not None
     rigid = np.array(model.base.kept) < 10 * model.robot.size
-    change = factor @ rng.standard_normal(factor.shape[1])
+    change = bounded(factor @ rng.standard_normal(factor.shape[1]))
     inertial = model.inertial + (jacobian @ change[rigid]).reshape(-1, 10)
     names = [label for k, label in enumerate(model.base.kept_labels) if not rigid[k]]
     gains = dict(zip(names, change[~rigid], strict=True))

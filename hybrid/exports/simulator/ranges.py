@@ -17,7 +17,7 @@ _ROUNDING = 1e-9  # of the largest number of that unit: less variation is none
 _UNITS = {
     "armature": "kg·m²", "damping": "N·m·s/rad", "quadratic": "N·m·s²/rad²",
     "cubic": "N·m·s³/rad³", "frictionloss": "N·m", "stiffness": "N·m/rad",
-    "preload": "N·m",
+    "preload": "N·m", "knee": "N·m", "fall": "N·m",
 }  # fmt: skip
 _NAMES = (*_UNITS, *INERTIAL_NAMES)
 
@@ -81,15 +81,19 @@ def ranges(
 ) -> Ranges:
     """Intervals and correlations of parameters, from draws of the posterior.
 
-    The kind, ``mjcf`` or ``urdf``, says what parameters the simulator has.
+    The kind, ``mjcf``, ``urdf`` or ``isaaclab``, says what parameters the simulator
+    has. Friction of all draws rises (``knee``) and falls (``fall``) at the same speeds.
 
     Raises:
         HybridError: See :func:`.sample`.
     """
     drawn = sample(model, draws, seed)
     motions = (usual_motion(model),)
-    nominal = _numbers(fields_of_model(model, motions, kind))
-    values = np.array([_numbers(fields_of_model(x, motions, kind)) for x in drawn])
+    form = fields_of_model(model, motions, kind)
+    nominal = _numbers(form)
+    values = np.array([
+        _numbers(fields_of_model(x, motions, kind, form)) for x in drawn
+    ])  # fmt: skip
     joints, unit_at = model.robot.joints, model.robot.chain.unit_at
     units = np.array([
         [*(unit_at([j], x) for x in _UNITS.values()), *INERTIAL_UNITS]
@@ -116,13 +120,16 @@ def ranges(
 
 def joint_numbers(robot: Robot) -> dict[str, Array]:
     """Rotor, friction and spring of every joint by name, shape (n,) each."""
+    fall = np.zeros(robot.size)
+    np.add.at(fall, robot.falling[:, 0].astype(int), robot.falling[:, 1])
     own = {
         "armature": robot.chain.armature,
         "preload": -robot.stiffness * robot.springref,
+        "fall": fall,
     }
     return {x: own[x] if x in own else getattr(robot, x) for x in _UNITS}
 
 
 def _numbers(robot: Robot) -> Array:
-    """All numbers of a simulator, a row for each joint and its link, shape (n, 17)."""
+    """All numbers of a simulator, a row for each joint and its link, shape (n, 19)."""
     return np.column_stack([*joint_numbers(robot).values(), robot.chain.inertial])

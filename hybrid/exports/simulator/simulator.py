@@ -90,7 +90,8 @@ def build_simulator(
         robot: The arm with its new links, rotors, friction and springs; ``path`` is the
             file to edit.
         effects: Further effects.
-        kind: ``mjcf`` or ``urdf``.
+        kind: ``mjcf``, ``urdf``, or ``isaaclab``, a URDF file without springs, which
+            other simulators than Gazebo do not read.
         motions: Motions with the speeds at which friction is fitted; by default a
             random one within the arm's limits.
         folder: Folder of the new file, if it is another one; paths of meshes and
@@ -104,15 +105,17 @@ def build_simulator(
         EffectError: An effect cannot be simulated.
     """
     if kind not in JOINT_FIELDS:
-        raise HybridError(f"no kind {kind!r} of simulator; valid are mjcf, urdf")
+        valid = ", ".join(JOINT_FIELDS)
+        raise HybridError(f"no kind {kind!r} of simulator; valid are {valid}")
     planned = plan(robot, effects, kind, motions)
-    new = planned.change.robot
+    new, fields = planned.change.robot, JOINT_FIELDS[kind]
+    kind = "mjcf" if kind == "mjcf" else "urdf"
     origin = source(new, kind)
     document, old = origin.document, origin.robot
     edit = edit_mjcf if kind == "mjcf" else edit_urdf
     lacks = list(edit(document, planned.change, old))
     found = read(document, old, kind)
-    _check(found, new, kind)
+    _check(found, new, kind, fields)
     if origin.own and folder is not None:
         move = move_assets if kind == "mjcf" else move_meshes
         move(document, Path(robot.path).parent, Path(folder))
@@ -136,10 +139,10 @@ def build_simulator(
     )
 
 
-def _check(found: Robot, wanted: Robot, kind: str) -> None:
+def _check(found: Robot, wanted: Robot, kind: str, fields: Sequence[str]) -> None:
     """Compare the arm in the edited file with the arm that was asked for."""
     names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"}
-    names &= {*JOINT_FIELDS[kind]}
+    names &= {*fields}
     names |= {"ripple", "falling", "coupled"} if kind == "mjcf" else set()
     names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
     pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names}

@@ -5,7 +5,7 @@ Names of joints appear as literals only.
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,17 +30,20 @@ from hybrid.signals import Motion
 from hybrid.templates import render_template
 
 _DRAWS = 400  # from the posterior
+_DIGITS = 5  # of a number that is drawn
 # Changes of an actuator that Isaac Lab has a place for.
 _ACTUATORS = {"latency", "limit", "stiffness", "damping"}
 _STEP = 0.005  # s, if the step of the simulation is not known
-# Field of MuJoCo's model by the name of a range, its column, and whether it may be < 0.
-_DOF: dict[str, tuple[str, int | None, bool]] = {
-    "armature": ("dof_armature", None, False),
-    "damping": ("dof_damping", None, False),
-    "frictionloss": ("dof_frictionloss", None, False),
-    "quadratic": ("dof_dampingpoly", 0, True),
-    "cubic": ("dof_dampingpoly", 1, False),
+# Field of MuJoCo's model by the name of a range, and its column.
+_DOF: dict[str, tuple[str, int | None]] = {
+    "armature": ("dof_armature", None),
+    "damping": ("dof_damping", None),
+    "frictionloss": ("dof_frictionloss", None),
+    "knee": ("dof_frictionloss", None),
+    "quadratic": ("dof_dampingpoly", 0),
+    "cubic": ("dof_dampingpoly", 1),
 }
+_TENDON = ("tendon_frictionloss", None)
 
 
 def isaac_lab(
@@ -48,7 +51,7 @@ def isaac_lab(
 ) -> tuple[str, tuple[str, ...]]:
     """Actuator configuration for Isaac Lab, and notes on what it lacks."""
     bare = replace(model, robot=replace(model.robot, path=""))  # numbers, no shapes
-    edited = model_simulator(bare, kind="urdf", motions=motions)
+    edited = model_simulator(bare, kind="isaaclab", motions=motions)
     robot, drives = edited.robot, drive_changes(edited.rest)
     new = [drives.get(j, Actuator()) for j in range(robot.size)]
     known = model.robot.timestep
@@ -81,38 +84,66 @@ def isaac_lab(
     return text, notes
 
 
-def isaac_events(name: str, ranges: Ranges) -> str:
-    """Event terms for Isaac Lab."""
-    table: dict[str, dict[str, tuple[float, float]]] = {}
-    for word, own in (("friction", "frictionloss"), ("armature", "armature")):
-        for joint, low, high in zip(ranges.joints, *ranges.of(own), strict=True):
-            if np.isfinite(low):
-                both = (max(float(low), 0.0), float(high))
-                key = f"{word}_distribution_params"
-                table.setdefault(re.escape(joint), {})[key] = both
-    return _rendered("isaaclab_events", name, table=table)
+def isaac_events(name: str, ranges: Ranges, nominal: Robot) -> str:
+    """Event term for Isaac Lab, which draws friction and rotors at each reset."""
+    drawn = "frictionloss", "damping", "armature"
+    keys = [(joint, own) for own in drawn for joint in ranges.joints]
+    joints = [re.escape(joint) for joint in ranges.joints]
+    draws = _draws(ranges, nominal, keys)
+    return _rendered("isaaclab_events", name, joints=joints, draws=draws)
 
 
-def mjx(name: str, ranges: Ranges, nominal: Mapping[str, Array]) -> str:
-    """Function that randomises a model of MJX."""
-    own = [name for name in _DOF if np.isfinite(ranges.of(name)).any()]
-    n = len(ranges.joints)
-    mean = np.concatenate([nominal[name] for name in own]) if own else np.zeros(0)
-    draws = np.tile(mean, (len(ranges.draws), 1))
-    for k, (joint, name_of) in enumerate(ranges.keys):
-        if name_of in own:
-            at = own.index(name_of) * n + ranges.joints.index(joint)
-            draws[:, at] = ranges.draws[:, k]
-    values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(draws, rowvar=False)))
-    factor = vectors * np.sqrt(np.clip(values, 0.0, None))
-    return _rendered(
-        "mjx",
-        name,
-        joints=list(ranges.joints),
-        fields=[_DOF[x] for x in own],
-        mean=mean.tolist(),
-        factor=factor[:, values > 1e-12 * values.max(initial=1e-300)].tolist(),
-    )
+def mjx(name: str, ranges: Ranges, nominal: Robot) -> str:
+    """Function that randomises a model of MJX, made from the file of an arm."""
+    places = dict[tuple[str, int | None], list[tuple[str, str]]]()
+    for joint, own in ranges.keys:
+        if (place := _place(nominal, joint, own)) is not None:
+            places.setdefault(place, []).append((joint, own))
+    suffix = {place: "/dry" if place == _TENDON else "" for place in places}
+    fields = [
+        (*place, [f"{joint}{suffix[place]}" for joint, _ in keys])
+        for place, keys in places.items()
+    ]
+    keys = [key for own in places.values() for key in own]
+    return _rendered("mjx", name, fields=fields, draws=_draws(ranges, nominal, keys))
+
+
+def _place(nominal: Robot, joint: str, own: str) -> tuple[str, int | None] | None:
+    """Field of MuJoCo's model that holds a number of a joint, if one does.
+
+    Friction that rises takes the joint's dry friction, whose own is that of a tendon.
+    """
+    j = nominal.joints.index(joint)
+    if own == "frictionloss" and nominal.knee[j]:
+        return _TENDON if nominal.frictionloss[j] else None
+    return _DOF.get(own)
+
+
+def _draws(
+    ranges: Ranges, nominal: Robot, keys: Sequence[tuple[str, str]]
+) -> list[list[float]]:
+    """Draws of numbers by joint and name; those without an interval do not vary."""
+    numbers, count = joint_numbers(nominal), len(ranges.draws)
+    columns = [
+        ranges.draws[:, ranges.keys.index(key)] if key in ranges.keys
+        else np.full(count, numbers[key[1]][nominal.joints.index(key[0])])
+        for key in keys
+    ]  # fmt: skip
+    table = np.reshape(columns, (len(keys), count)).T
+    return [[float(f"{x:.{_DIGITS}g}") for x in row] for row in table.tolist()]
+
+
+def range_notes(robot: Robot) -> Iterator[str]:
+    """What is in the intervals of an arm, and the function for MJX does not draw."""
+    falls = {int(j) for j in robot.falling[:, 0]}
+    tied = {*np.flatnonzero((robot.knee != 0) & (robot.frictionloss == 0)).tolist()}
+    for joints, what in (
+        (falls, "friction that falls with speed"),
+        (tied, "dry friction beside that which rises with speed"),
+    ):
+        if joints:
+            names = ", ".join(robot.joints[j] for j in sorted(joints))
+            yield f"not drawn by the function for MJX: {what}, of {names}"
 
 
 def mjx_notes(robot: Robot) -> Iterator[str]:
@@ -134,23 +165,24 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> tuple[str, ...
     Draws have a fixed seed, so that the files of a model are always the same.
 
     Returns:
-        What MJX on JAX does not take.
+        What the function for MJX does not draw, or MJX on JAX does not take.
     """
-    found = ranges(model, draws=_DRAWS)
-    nominal = fields_of_model(model, (usual_motion(model),))
-    # Isaac Lab has one dry and one viscous friction, as URDF has.
-    plain = ranges(model, kind="urdf", draws=_DRAWS)
+    found, motions = ranges(model, draws=_DRAWS), (usual_motion(model),)
+    nominal = fields_of_model(model, motions)
+    plain = ranges(model, kind="isaaclab", draws=_DRAWS)
     name = model.robot.name
     texts = {
         f"{stem}_ranges.yaml": yaml.safe_dump(
             {"robot": name, **found.as_dict()}, sort_keys=False, allow_unicode=True
         ),
-        f"{stem}_isaaclab_events.py": isaac_events(name, plain),
-        f"{stem}_mjx.py": mjx(name, found, joint_numbers(nominal)),
+        f"{stem}_isaaclab_events.py": isaac_events(
+            name, plain, fields_of_model(model, motions, "isaaclab")
+        ),
+        f"{stem}_mjx.py": mjx(name, found, nominal),
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
-    return tuple(mjx_notes(nominal))
+    return *range_notes(nominal), *mjx_notes(nominal)
 
 
 def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float] | None:
