@@ -151,7 +151,7 @@ def _fit(
     torque = torque * weight
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
-    R = np.linalg.qr(np.c_[A / size, torque], mode="r")
+    R = np.asarray(np.linalg.qr(np.c_[A / size, torque], mode="r"))
     penalty = float((_LEAST * np.linalg.norm(torque)) ** 2)
 
     def fit(knee: Parts, fall: Parts) -> tuple[float, Array]:
