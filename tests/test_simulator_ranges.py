@@ -215,6 +215,21 @@ def test_an_export_says_what_mjx_on_jax_does_not_take(format, tmp_path, monkeypa
     assert notes == ([] if format == "urdf" else lost)
 
 
+def test_what_is_drawn_for_given_links_is_surer_by_what_these_tell():
+    model = fitted().model
+    drawn = sample(model, 400, np.random.default_rng(0), links=False)
+    links = [x.inertial for x in drawn]
+    np.testing.assert_allclose(links, 400 * [model.inertial], atol=1e-9)
+    rigid = np.array(model.base.kept) < 20
+    precision = np.linalg.inv(model.covariance)[np.ix_(~rigid, ~rigid)]
+    std = np.sqrt(np.diagonal(np.linalg.inv(precision)))
+    labels = np.array(model.base.kept_labels)[~rigid].tolist()
+    own = [e.gain_values[0] for x in drawn for e in x.effects
+           if (e.id, e.joints) == ("viscous", (1,))]  # fmt: skip
+    expected = std[labels.index("viscous.coefficient[elbow]")]
+    assert np.std(own) == pytest.approx(expected, rel=0.1)
+
+
 def test_draws_keep_to_the_torque_though_their_gains_are_uncertain():
     """Dry and viscous friction of one speed trade off; zero is a bound for both."""
     model = fitted().model

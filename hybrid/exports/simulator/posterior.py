@@ -21,7 +21,11 @@ _THINNEST = 1e-6  # smallest squared width of a drawn link, relative to the nomi
 
 
 def sample(
-    model: DynamicModel, n: int, seed: int | np.random.Generator = 0
+    model: DynamicModel,
+    n: int,
+    seed: int | np.random.Generator = 0,
+    *,
+    links: bool = True,
 ) -> tuple[DynamicModel, ...]:
     """Draw models from the posterior of an identified one.
 
@@ -34,6 +38,8 @@ def sample(
         model: An identified model with physically consistent links.
         n: Number of models.
         seed: Seed or generator.
+        links: Draw links; else all models have those of the model, and gains are drawn
+            given these.
 
     Raises:
         HybridError: The model has no such links, or was saved without a covariance.
@@ -43,10 +49,22 @@ def sample(
             "ranges need links that could be built and how sure their numbers are; "
             "identify again with consistent=True, on the command line --consistent"
         )
+    if not links:
+        model = replace(model, covariance=_given_links(model))
     factor, bounded = _factor(model.covariance), _Bounded(model)
     jacobian = _link_jacobian(model)
     rng = np.random.default_rng(seed)
     return tuple(_draw(model, factor, bounded, jacobian, rng) for _ in range(n))
+
+
+def _given_links(model: DynamicModel) -> Array:
+    """Covariance of the gains if the links are known, which do not vary then."""
+    C, rigid = model.covariance, np.array(model.base.kept) < 10 * model.robot.size
+    across = C[np.ix_(~rigid, rigid)]
+    known = across @ np.linalg.pinv(C[np.ix_(rigid, rigid)], hermitian=True) @ across.T
+    out = np.zeros_like(C)
+    out[np.ix_(~rigid, ~rigid)] = C[np.ix_(~rigid, ~rigid)] - known
+    return out
 
 
 class _Bounded:

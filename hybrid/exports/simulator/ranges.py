@@ -78,16 +78,18 @@ def ranges(
     *,
     kind: str = "mjcf",
     draws: int = 400,
+    links: bool = True,
 ) -> Ranges:
     """Intervals and correlations of parameters, from draws of the posterior.
 
     The kind, ``mjcf``, ``urdf`` or ``isaaclab``, says what parameters the simulator
     has. Friction of all draws rises (``knee``) and falls (``fall``) at the same speeds.
+    Without ``links``, those of the model are taken as they are.
 
     Raises:
         HybridError: See :func:`.sample`.
     """
-    drawn = sample(model, draws, seed)
+    drawn = sample(model, draws, seed, links=links)
     motions = (usual_motion(model),)
     form = fields_of_model(model, motions, kind)
     nominal = _numbers(form)

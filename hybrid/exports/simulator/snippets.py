@@ -29,7 +29,7 @@ from hybrid.robot.edit.change import Actuator
 from hybrid.signals import Motion
 from hybrid.templates import render_template
 
-_DRAWS = 400  # from the posterior
+_DRAWS = 200  # from the posterior
 _DIGITS = 5  # of a number that is drawn
 # Changes of an actuator that Isaac Lab has a place for.
 _ACTUATORS = {"latency", "limit", "stiffness", "damping"}
@@ -168,17 +168,21 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> tuple[str, ...
         What the function for MJX does not draw, or MJX on JAX does not take.
     """
     found, motions = ranges(model, draws=_DRAWS), (usual_motion(model),)
-    nominal = fields_of_model(model, motions)
-    plain = ranges(model, kind="isaaclab", draws=_DRAWS)
-    name = model.robot.name
+    # Python draws no links: rotors would have to change with these.
+    of_mujoco, of_isaac = (
+        (
+            ranges(model, kind=kind, draws=_DRAWS, links=False),
+            fields_of_model(model, motions, kind),
+        )
+        for kind in ("mjcf", "isaaclab")
+    )
+    name, nominal = model.robot.name, of_mujoco[1]
     texts = {
         f"{stem}_ranges.yaml": yaml.safe_dump(
             {"robot": name, **found.as_dict()}, sort_keys=False, allow_unicode=True
         ),
-        f"{stem}_isaaclab_events.py": isaac_events(
-            name, plain, fields_of_model(model, motions, "isaaclab")
-        ),
-        f"{stem}_mjx.py": mjx(name, found, nominal),
+        f"{stem}_isaaclab_events.py": isaac_events(name, *of_isaac),
+        f"{stem}_mjx.py": mjx(name, *of_mujoco),
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
