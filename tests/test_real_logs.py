@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import studied
 from simulated import quiet
 
 from hybrid.effects import effect_class
@@ -70,7 +71,7 @@ def assert_better_than_least_squares(
     return fit
 
 
-@pytest.mark.parametrize("first", [0, 1, 2])
+@pytest.mark.parametrize("first", [0, *studied(1, 2)])
 def test_ur10_at_125_hertz(first):
     """Its torque was filtered: plain least squares, too, see it through that filter."""
     robot, fitting, scoring = blocks(

@@ -7,7 +7,10 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_is_fitted
 
+from hybrid.arguments import typed
 from hybrid.arrays import Array
+from hybrid.effects import Effect
+from hybrid.errors import RecordingError
 from hybrid.identification.fit import Fit
 from hybrid.identification.three_stage import STAGES, Stage, identify
 from hybrid.identification.validation import predict
@@ -38,6 +41,7 @@ class Identifier(BaseEstimator):  # type: ignore[misc]
         robust: bool = False,
         consistent: bool = False,
         seed: int = 0,
+        effects: Sequence[Effect] = (),
     ) -> None:
         self.robot = robot
         self.estimator = estimator
@@ -46,20 +50,45 @@ class Identifier(BaseEstimator):  # type: ignore[misc]
         self.robust = robust
         self.consistent = consistent
         self.seed = seed
+        self.effects = effects
 
+    @typed
     def fit(self, X: Sequence[Recording], y: None = None) -> Self:
         """Identify from recordings, which hold the torque; ``y`` is not used."""
         settings = self.get_params(deep=False)
         self.fit_ = identify(settings.pop("robot"), X, **settings)
         return self
 
+    @typed
     def predict(self, X: Sequence[Recording]) -> list[Array]:
-        """Torque along each recording, shape (N, n) each, [N·m]."""
+        """Torque along each recording, shape (N, n) each, [N·m]; see :func:`predict`.
+
+        Raises:
+            RecordingError: A recording does not fit the arm.
+        """
         check_is_fitted(self)
         return [predict(self.fit_.model, x) for x in X]
 
+    @typed
     def score(self, X: Sequence[Recording], y: None = None) -> float:
-        """Coefficient of determination R² of the torque, mean over the joints."""
-        measured = np.concatenate([x.tau for x in X])
-        residual = measured - np.concatenate(self.predict(X))
-        return float(np.mean(1.0 - residual.var(axis=0) / measured.var(axis=0)))
+        """Coefficient of determination R² of the torque, mean over the joints.
+
+        Joints whose torque does not change do not count.
+
+        Raises:
+            RecordingError: A recording does not fit the arm, or has no torque.
+        """
+        check_is_fitted(self)
+        for x in X:
+            if not x.has_torque:
+                raise RecordingError(f"{x.source or 'recording'}: no torque to predict")
+        logs = [x.in_order(self.robot.joints) for x in X]
+        measured = np.concatenate([x.tau for x in logs])
+        residual = measured - np.concatenate(self.predict(logs))
+        measured, residual = (
+            x[np.isfinite(residual).all(axis=1)] for x in (measured, residual)
+        )
+        squares = np.sum((measured - measured.mean(axis=0)) ** 2, axis=0)
+        moves = squares > 0
+        left = np.sum(residual**2, axis=0)[moves] / squares[moves]
+        return float(np.mean(1.0 - left))

@@ -244,12 +244,14 @@ def noise_floor(motions: Sequence[Motion], cutoff: float) -> Array | None:
 def predict(model: DynamicModel, recording: Recording) -> Array:
     """Torque that a model predicts along a recording, shape (N, n), [N·m].
 
-    Positions are filtered and differentiated as for the identification.
+    Its rows and columns are those of the recording. Positions are filtered and
+    differentiated as for the identification.
 
     Args:
         model: The model.
         recording: Log of the arm; it needs no torque. One with gaps is predicted
-            between them, see :func:`~hybrid.inspect.check_recordings`.
+            between them, see :func:`~hybrid.inspect.check_recordings`, and rows that
+            are left out there are NaN.
 
     Raises:
         RecordingError: The recording does not fit the arm, or has no torque although
@@ -257,10 +259,24 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
     """
     logs = checked_logs(model.robot, [recording])
     motions, _ = motions_from_logs(logs, model.cutoff)
-    tau = np.concatenate([model.predict(motion) for motion in motions])
-    if not np.isfinite(tau).all():
-        why = "no torque, but an effect of the model depends on the torque measured"
-        if recording.has_torque:
-            why = "the model predicts a torque that is not finite: its numbers are none"
-        raise RecordingError(f"{recording.source or 'recording'}: {why}")
-    return tau
+    out = np.full(recording.q.shape, np.nan)
+    for motion in motions:
+        tau, step = model.predict(motion), 1.0 / motion.rate
+        if not np.isfinite(tau).all():
+            why = "no torque, but an effect of the model depends on the torque measured"
+            if recording.has_torque:
+                why = "the model predicts a torque that is not finite: its numbers are "
+                why += "none"
+            raise RecordingError(f"{recording.source or 'recording'}: {why}")
+        first, end = np.searchsorted(
+            recording.t, [motion.t[0] - step / 2, motion.t[-1] + step / 2]
+        )
+        rows = slice(int(first), int(end))
+        at = recording.t[rows]
+        if not np.array_equal(at, motion.t):  # it was resampled
+            tau = np.column_stack([np.interp(at, motion.t, x) for x in tau.T])
+        out[rows] = tau
+    joints = model.robot.joints
+    named = sorted(recording.joints) == sorted(joints)
+    order = [joints.index(x) for x in recording.joints] if named else slice(None)
+    return np.asarray(out[:, order])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,6 +59,10 @@ class DynamicModel:
     simpler: Mapping[str, DynamicModel] = field(default_factory=dict)
     logs: tuple[str, ...] = ()
     band: float = np.inf
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What defines it: laws that were compiled are none, and no copy has them."""
+        return {x.name: getattr(self, x.name) for x in fields(self)}
 
     def __repr__(self) -> str:
         found = ", ".join(dict.fromkeys(effect.id for effect in self.effects))
