@@ -108,10 +108,10 @@ class View(NamedTuple):
 def _fit_rows(fit: Fit) -> list[dict[str, Any]]:
     low, high = fit.estimate.interval()
     columns = zip(
-        fit.labels, fit.units, fit.estimate.theta, fit.estimate.std, low, high,
-        strict=True,
+        fit.labels, fit.names, fit.units, fit.estimate.theta, fit.estimate.std, low,
+        high, strict=True,
     )  # fmt: skip
-    names = "unknown", "unit", "value", "std", "low", "high"
+    names = "unknown", "combination", "unit", "value", "std", "low", "high"
     return [dict(zip(names, row, strict=True)) for row in columns]
 
 
@@ -159,9 +159,12 @@ def _design_table(design: Design) -> Table:
 
 
 def _design_rows(design: Design) -> list[dict[str, Any]]:
-    labels = design.observation.base.kept_labels
-    pairs = zip(labels, design.standard_errors(), strict=True)
-    return [{"unknown": name, "standard_error": float(x)} for name, x in pairs]
+    base = design.observation.base
+    columns = zip(base.kept_labels, base.names, design.standard_errors(), strict=True)
+    return [
+        {"unknown": label, "combination": name, "standard_error": float(x)}
+        for label, name, x in columns
+    ]
 
 
 def _draw_design(design: Design, ax: Axes) -> None:

@@ -280,7 +280,7 @@ class TestGap:
         gap = planar().gap
         learn = split(gap)
         assert not {*gap.trajectory[learn]} & {*gap.trajectory[~learn]}
-        robot, recordings = logs([], count=1, duration=10.0)
+        robot, recordings = logs([], count=1, duration=20.0)
         single = measure_gap(robot, recordings)
         learn = split(single)
         scored = unseen_samples(single, learn)

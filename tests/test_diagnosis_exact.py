@@ -252,8 +252,9 @@ def test_a_region_is_where_the_excess_is(torque, variable, ends):
     (whole,) = [r for r in found if r.variable == "link"]
     assert whole.unit == "torque to motion" and (whole.low, whole.high) == (0.0, 1.0)
     excess = np.where(gap.moving, gap.left**2 - 1.0, 0.0).sum(axis=0)
-    assert whole.share == pytest.approx(excess[0] / excess.sum())
-    assert whole.interval[0] < whole.share < whole.interval[1]
+    # The other joint has less than its noise by chance, which is a share of none.
+    assert whole.share == pytest.approx(min(excess[0] / excess.sum(), 1.0))
+    assert whole.interval[0] < whole.share <= whole.interval[1] <= 1.0
 
 
 def test_an_event_ends_with_its_last_sample():

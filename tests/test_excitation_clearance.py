@@ -8,6 +8,7 @@ import pytest
 from arms import MODELS, public_arm
 from pendulum import pendulum
 
+from hybrid.dynamics import inverse_dynamics
 from hybrid.dynamics.kinematics import frames
 from hybrid.errors import ExcitationError, HybridWarning, RobotError
 from hybrid.excitation import (
@@ -223,10 +224,16 @@ def test_slopes_of_torque_are_those_of_finite_differences(name):
     kinds = ("quadratic", "cubic", "damping", "frictionloss", "stiffness")
     own = {x: rng.uniform(0.5, 2.0, n) for x in kinds}
     own |= {"ripple": np.array([[1, 0.2, 0.1, 3.0]])}
-    own |= {"coupled": np.array([[0, 1, 0.3, 0.7, 0.0]])}
+    own |= {"coupled": np.array([[0, 1, 0.3, 0.7, 0.4]])}
+    own |= {"falling": np.array([[1, 2.0, 0.5], [2, 1.0, 0.2]])}
+    own |= {"knee": np.eye(n)[0], "knee_speed": np.full(n, 0.4)}
     robot = replace(robot, **own)
     constraint = TorqueLimits(robot, rng.uniform(10.0, 20.0, n))
     states = rng.normal(size=(3, 6, n))
+    q, v, a = states[0], np.sign(states[1]), states[2]  # away from where joints turn
+    whole = inverse_dynamics(robot.chain, robot.chain.inertial, q, v, a)
+    whole += robot.joint_torque(q, v, a) + robot.dry_friction(v)
+    np.testing.assert_allclose(constraint.torque(path_of(q, v, a)), whole, atol=1e-6)
     for k in range(2 * n):
         slope = constraint.slope(path_of(*states), np.full(6, k))
         assert np.abs(slope[:, 3]).max() == 0  # torque does not depend on the jerk

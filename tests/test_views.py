@@ -14,7 +14,9 @@ from hybrid.calibration import calibrate, random_poses
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Unseen, Value
 from hybrid.errors import HybridWarning
 from hybrid.excitation import Condition, Fourier, design, observe
+from hybrid.excitation.observation import usual_observation
 from hybrid.identification import DynamicModel
+from hybrid.plant import Noise
 
 
 @pytest.fixture(scope="module")
@@ -177,4 +179,10 @@ def test_motions_are_designed_for_a_robot_alone():
     found = design(Robot.load("planar"), starts=1)
     assert repr(found).startswith("1 motion of planar, condition ")
     assert found.trajectories[0].family == Fourier(10, 0.05)
-    assert found.observation.size == observe(found.robot.chain).size
+    robot = found.robot
+    assert found.observation.size == usual_observation(robot).size == 13
+    noise = Noise.typical(robot).torque_covariance
+    np.testing.assert_allclose(
+        found.observation.whitening @ noise @ found.observation.whitening.T, np.eye(2),
+        atol=1e-9,
+    )  # fmt: skip

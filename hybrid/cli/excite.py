@@ -22,6 +22,7 @@ from hybrid.excitation import (
 from hybrid.excitation.constraints import Constraint
 from hybrid.excitation.criteria import Criterion
 from hybrid.excitation.design import DESIGN, reference_paths
+from hybrid.excitation.observation import FITTED
 from hybrid.plant.noise import Noise
 from hybrid.report import save_figure
 from hybrid.report.excitation import information_figure, motion_figure, postures_figure
@@ -45,8 +46,6 @@ examples:
 _CRITERIA: dict[str, Criterion | None] = {
     "error": None, "condition": Condition(), "d": DOptimal(),
 }  # fmt: skip
-# What a fit of a log has beside the rigid body; published condition numbers have none.
-_FITTED = "armature,torque_offset,coulomb,viscous"
 _PICTURES = ("motion.png", "information.png", "postures.png")
 
 
@@ -58,7 +57,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--effects",
         metavar="LIST",
         help="effects to be identified beside the rigid body; laws of one joint "
-        f"(default {_FITTED}; for condition none)",
+        f"(default {FITTED}; for condition none)",
     )
     parser.add_argument(
         "--criterion",
@@ -102,7 +101,7 @@ def run(args: Namespace, screen: Screen) -> None:
     """Design and write."""
     robot = options.load_robot(args)
     plain = args.criterion == "condition"
-    wanted = "" if plain and args.effects is None else args.effects or _FITTED
+    wanted = "" if plain and args.effects is None else args.effects or FITTED
     effects = options.load_effects(wanted, robot)
     counts = {"trajectories": args.trajectories, "duration": args.duration}
     counts["joints"] = robot.size

@@ -64,7 +64,7 @@ def run(args: Namespace, screen: Screen) -> None:
             workers=args.workers,
             progress=tell,
         )
-        tell("writing the report")
+        tell("writing the report", None)
         page = write_fleet_pages(args.out, found, provenance=args.how)
     tables = fleet_tables(found)
     content = {

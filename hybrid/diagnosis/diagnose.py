@@ -84,7 +84,8 @@ def diagnose(
         known_mass: Masses by joint, [kg], which settle the scale of torque: of the link
             that the joint moves; with a model, of what was mounted on it since.
         seed: Seed of the bootstrap.
-        progress: Called with the name of each step.
+        progress: Called with the name of each step, and the share of the work that is
+            done, or None where that is not known.
 
     Raises:
         IdentificationError: There is no recording, or none shows a known mass.

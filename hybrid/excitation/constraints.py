@@ -200,7 +200,7 @@ class TorqueLimits(Constraint):
         robot, chain = self.robot, self.robot.chain
         tau = inverse_dynamics(chain, chain.inertial, path.q, path.v, path.a)
         tau += robot.joint_torque(path.q, path.v, path.a)
-        return tau + robot.frictionloss * np.tanh(path.v / TURNING_SPEED)
+        return tau + robot.dry_friction(path.v, lambda v: np.tanh(v / TURNING_SPEED))
 
     def excess(self, path: Path) -> Array:
         """See :class:`Constraint`."""
@@ -214,16 +214,29 @@ class TorqueLimits(Constraint):
         robot, chain = self.robot, self.robot.chain
         by = torque_gradient(chain, path.q, path.v, path.a, chain.inertial, j)
         out = np.stack([*by, np.zeros_like(path.q)], axis=1)
-        turn = 1.0 / np.cosh(np.clip(path.v[samples, j] / TURNING_SPEED, -50, 50)) ** 2
-        speed = np.abs(path.v[samples, j])
+        v = path.v[samples, j]
+        speed, bend = np.abs(v), np.where(robot.knee > 0, robot.knee_speed, 1.0)[j]
         out[samples, 0, j] += robot.position_slope(path.q)[samples, j]
         out[samples, 1, j] += robot.damping[j] + 2 * robot.quadratic[j] * speed
         out[samples, 1, j] += 3 * robot.cubic[j] * speed**2
-        out[samples, 1, j] += robot.frictionloss[j] * turn / TURNING_SPEED
+        out[samples, 1, j] += robot.frictionloss[j] * _turning(v)
+        out[samples, 1, j] += np.where(speed < bend, robot.knee[j] / bend, 0.0)
         out[samples, 2, j] += chain.armature[j]
-        for first, second, inertia, damping, _ in robot.coupled:
+        for joint, height, slow in robot.falling:
+            fall = height * np.exp(-((v / slow) ** 2)) * (j == int(joint))
+            change = _turning(v) - 2 * v / slow**2 * np.tanh(v / TURNING_SPEED)
+            out[samples, 1, j] += fall * change
+        for first, second, inertia, damping, dry in robot.coupled:
             pair = [int(first), int(second)]
             own = np.isin(j, pair)[:, None]
-            out[:, 1, pair] += damping * own
+            turning = _turning(path.v[:, pair].sum(axis=1))[:, None]
+            out[:, 1, pair] += (damping + dry * turning) * own
             out[:, 2, pair] += inertia * own
         return np.asarray(out * (sign[which] / self.limit[j])[:, None, None])
+
+
+def _turning(v: Array) -> Array:
+    """Change of the direction of dry friction with speed, [s/rad]."""
+    return np.asarray(
+        1.0 / np.cosh(np.clip(v / TURNING_SPEED, -50, 50)) ** 2 / TURNING_SPEED
+    )

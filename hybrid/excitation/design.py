@@ -14,10 +14,20 @@ from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.excitation.constraints import Constraint, Limits, MotionLimits, TorqueLimits
-from hybrid.excitation.criteria import Criterion, DOptimal, gram_condition
+from hybrid.excitation.criteria import (
+    Condition,
+    Criterion,
+    DOptimal,
+    gram_condition,
+)
 from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.families import Fourier
-from hybrid.excitation.observation import Observation, observe, rigid_conditions
+from hybrid.excitation.observation import (
+    Observation,
+    observe,
+    rigid_conditions,
+    usual_observation,
+)
 from hybrid.excitation.path import Family, Path, Trajectory, uniform
 from hybrid.excitation.program import MotionProgram
 from hybrid.excitation.solver import PENALTY, solve
@@ -173,8 +183,9 @@ def design(
 
     Args:
         robot: The arm; its nominal torque stays within the limits.
-        observation: The unknowns, see :func:`observe`; those of the rigid body by
-            default.
+        observation: The unknowns and the noise, see :func:`observe`. By default they
+            are rigid body, rotors, offsets and friction with the noise of
+            :meth:`.Noise.typical`; for :class:`Condition`, the rigid body alone.
         family: Family of motions; by default ten harmonics of 0.05 Hz, so 20 s.
         seed: Seed or generator of the random starts.
         criterion: Optimality criterion; by default the expected torque error on random
@@ -194,7 +205,9 @@ def design(
     if min(trajectories, starts) < 1:
         raise ExcitationError("trajectories and starts need to be 1 or more")
     rng = np.random.default_rng(seed)
-    observation = observe(robot.chain) if observation is None else observation
+    if observation is None:
+        plain = isinstance(criterion, Condition)
+        observation = observe(robot.chain) if plain else usual_observation(robot)
     family = Fourier(10, 0.05) if family is None else family
     bounds = Limits.of(robot) if limits is None else limits
     kept = MotionLimits(bounds, robot.joints), TorqueLimits(robot, bounds.torque)

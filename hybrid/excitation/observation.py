@@ -22,16 +22,21 @@ from hybrid.dynamics import (
     stacked_base,
 )
 from hybrid.dynamics.regressor import inverse_dynamics
-from hybrid.effects import Effect, JointEffect, JointState
+from hybrid.effects import Effect, JointEffect, JointState, effects_from_text
 from hybrid.errors import ExcitationError
 from hybrid.excitation.path import Path
+from hybrid.plant.noise import Noise
+from hybrid.plant.scale import joint_scales
 from hybrid.robot.chain import Chain
+from hybrid.robot.robot import Robot
 
 # Dry friction is smoothed within this speed, since a step has no gradient.
 TURNING_SPEED = 0.02  # rad/s
 _STEP = 1e-5  # relative, for finite differences
 FIRST = "first independent columns"
 PIVOTED = "columns by pivoted QR"
+# What a fit of a log has beside the rigid body; published condition numbers have none.
+FITTED = "armature,torque_offset,coulomb,viscous"
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +237,13 @@ def observe(
         raise ExcitationError("the noise covariance must be positive") from error
     whitening = solve_triangular(lower, np.eye(chain.size), lower=True)
     return Observation(chain, laws, base, whitening, np.ones(base.size))
+
+
+def usual_observation(robot: Robot) -> Observation:
+    """That of a fit: rigid body, rotors, offsets and friction, with usual noise."""
+    effects = effects_from_text(FITTED, robot.joints, joint_scales(robot))
+    noise = Noise.typical(robot).torque_covariance
+    return observe(robot.chain, effects, covariance=noise)
 
 
 def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -234,15 +234,20 @@ class Robot:
             torque[:, pair] += both[:, None]
         return torque
 
-    def dry_friction(self, v: Array) -> Array:
-        """Dry friction at some speeds, with Stribeck friction, shape (N, n), [N·m]."""
+    def dry_friction(
+        self, v: Array, direction: Callable[[Array], Array] = np.sign
+    ) -> Array:
+        """Dry friction at some speeds, with Stribeck friction, shape (N, n), [N·m].
+
+        The direction of a speed is its sign by default.
+        """
         level = np.tile(self.frictionloss, (len(v), 1))
         for joint, height, speed in self.falling:
             level[:, int(joint)] += height * np.exp(-((v[:, int(joint)] / speed) ** 2))
-        friction = level * np.sign(v)
+        friction = level * direction(v)
         for first, second, _, _, dry in self.coupled:
             pair = [int(first), int(second)]
-            friction[:, pair] += dry * np.sign(v[:, pair].sum(axis=1))[:, None]
+            friction[:, pair] += dry * direction(v[:, pair].sum(axis=1))[:, None]
         return np.asarray(friction)
 
     def position_slope(self, q: Array) -> Array:

@@ -82,7 +82,7 @@ def fit_servo(
     allowed[[x.base for x in QUANTITIES], 1:] = False
     for at in struck:
         allowed[at] = False
-    progress("servos: plain fit; the search for causes after it may take minutes")
+    progress("servos: plain fit; the search for causes may take minutes", None)
     x = np.where(allowed, start, prior.coordinates)
     free = np.isin(NAMES, PLAIN)[:, None] & allowed
     plain = problem.fitted(problem.at(x, free), None, _TURNS)

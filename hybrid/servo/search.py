@@ -106,7 +106,8 @@ class Search:
         now = start
         self.met.append(now)
         for turn in range(rounds):
-            self.progress(f"servos: {int(now.causes.sum())} causes, round {turn + 1}")
+            count = int(now.causes.sum())
+            self.progress(f"servos: {count} causes, round {turn + 1}", None)
             after = self._wider(now)
             if after is None:
                 break
@@ -204,7 +205,7 @@ class Search:
         """Remove causes as long as the evidence grows by that."""
         now, kept = what, dict[Place, float]()
         while True:
-            self.progress(f"servos: {int(now.causes.sum())} causes, fewer")
+            self.progress(f"servos: {int(now.causes.sum())} causes, fewer", None)
             noise = self.noise.reaching(now.found.usual)
             losses, tried = self._without_one(now, noise)
             losses |= kept

@@ -34,7 +34,8 @@ class Region:
         low: Lower end of the range.
         high: Upper end of the range.
         unit: Unit of both ends.
-        share: Share of the squares of the whole gap, in units of each joint's noise.
+        share: Share of the squares above noise of the whole gap, in units of each
+            joint's noise.
         interval: 95 % interval of the share, by the bootstrap over blocks of time.
     """
 

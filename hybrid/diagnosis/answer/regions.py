@@ -95,8 +95,9 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
         if best is None:
             continue
         inside = x.excess[:, best].sum(axis=1)
-        share = float(inside.sum() / squares.sum())
-        shares = (test.draws @ inside)[some] / drawn[some]
+        # Chance leaves less than the noise elsewhere, and a share of more than 1.
+        share = float(np.clip(inside.sum() / squares.sum(), 0.0, 1.0))
+        shares = np.clip((test.draws @ inside)[some] / drawn[some], 0.0, 1.0)
         low, high = np.quantile(shares, [0.025, 0.975])
         lead = share - float(x.samples[:, best].sum() / visits)
         region = Region(

@@ -73,7 +73,7 @@ class Moves(Proposals):
             if self._take([*self.causes, found.cause]):
                 kind, joints = found.place
                 joint = self.gap.robot.joints[joints[-1]]
-                self._progress(f"cause {len(self.causes)}: {kind} at {joint}")
+                self._progress(f"cause {len(self.causes)}: {kind} at {joint}", None)
                 return self.score(self.causes) > now + LEAST_GAIN
         return False
 
