@@ -70,6 +70,7 @@ def test_a_frame_holds_every_unknown_within_its_interval(fit):
     frame = fit.to_frame()
     assert isinstance(frame, pd.DataFrame)
     assert tuple(frame["unknown"]) == fit.labels
+    assert tuple(frame["combination"]) == fit.names
     assert ((frame["low"] <= frame["value"]) & (frame["value"] <= frame["high"])).all()
 
 
