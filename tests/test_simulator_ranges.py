@@ -230,6 +230,19 @@ def test_what_is_drawn_for_given_links_is_surer_by_what_these_tell():
     assert np.std(own) == pytest.approx(expected, rel=0.1)
 
 
+def test_a_gain_that_is_certain_stays():
+    model = fitted().model
+    at = list(model.base.kept_labels).index("coulomb.level[elbow]")
+    sure = model.covariance.copy()
+    sure[at], sure[:, at] = 0.0, 0.0
+    (value,) = {e.gain_values[0] for e in model.effects
+                if (e.id, e.joints) == ("coulomb", (1,))}  # fmt: skip
+    for x in sample(replace(model, covariance=100 * sure), 50):
+        (own,) = (e.gain_values[0] for e in x.effects
+                  if (e.id, e.joints) == ("coulomb", (1,)))  # fmt: skip
+        assert own == pytest.approx(value, rel=1e-6)
+
+
 def test_draws_keep_to_the_torque_though_their_gains_are_uncertain():
     """Dry and viscous friction of one speed trade off; zero is a bound for both."""
     model = fitted().model

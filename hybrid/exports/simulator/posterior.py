@@ -83,7 +83,8 @@ class _Bounded:
                     self._least[at[label]] = min(low, 0.0) - effect.values[gain.name]
         self._held = np.flatnonzero(np.isfinite(self._least))
         own = model.covariance[np.ix_(self._held, self._held)]
-        self._size = np.sqrt(np.diagonal(own)) + np.finfo(float).tiny
+        self._size = np.sqrt(np.maximum(np.diagonal(own), 0.0))
+        self._size[self._size == 0.0] = 1.0  # of what is certain
         values, vectors = np.linalg.eigh(own / np.outer(self._size, self._size))
         values = np.maximum(values, _SURE * values.max(initial=1.0))
         self._root = (vectors / np.sqrt(values)).T  # of the inverse correlation
