@@ -15,8 +15,8 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 RUNS := .venv/.runs
 # Byte code is kept: workers, and programs that tests start, would compile all again.
-# A file stays with one worker, so that what its tests share is made once; see conftest.
-PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest -n 2 --dist loadgroup
+# A file stays with one worker, so that what its tests share is made once.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest -n 2 --dist loadfile
 
 # One thread per process: the linear algebra is small, and two test workers would fight.
 export OMP_NUM_THREADS = 1
