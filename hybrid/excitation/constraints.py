@@ -219,24 +219,23 @@ class TorqueLimits(Constraint):
         out[samples, 0, j] += robot.position_slope(path.q)[samples, j]
         out[samples, 1, j] += robot.damping[j] + 2 * robot.quadratic[j] * speed
         out[samples, 1, j] += 3 * robot.cubic[j] * speed**2
-        out[samples, 1, j] += robot.frictionloss[j] * _turning(v)
+        out[samples, 1, j] += robot.frictionloss[j] * _turning(v) / TURNING_SPEED
         out[samples, 1, j] += np.where(speed < bend, robot.knee[j] / bend, 0.0)
         out[samples, 2, j] += chain.armature[j]
         for joint, height, slow in robot.falling:
             fall = height * np.exp(-((v / slow) ** 2)) * (j == int(joint))
-            change = _turning(v) - 2 * v / slow**2 * np.tanh(v / TURNING_SPEED)
+            change = _turning(v) / TURNING_SPEED
+            change -= 2 * v / slow**2 * np.tanh(v / TURNING_SPEED)
             out[samples, 1, j] += fall * change
         for first, second, inertia, damping, dry in robot.coupled:
             pair = [int(first), int(second)]
             own = np.isin(j, pair)[:, None]
             turning = _turning(path.v[:, pair].sum(axis=1))[:, None]
-            out[:, 1, pair] += (damping + dry * turning) * own
+            out[:, 1, pair] += (damping + dry * turning / TURNING_SPEED) * own
             out[:, 2, pair] += inertia * own
         return np.asarray(out * (sign[which] / self.limit[j])[:, None, None])
 
 
 def _turning(v: Array) -> Array:
-    """Change of the direction of dry friction with speed, [s/rad]."""
-    return np.asarray(
-        1.0 / np.cosh(np.clip(v / TURNING_SPEED, -50, 50)) ** 2 / TURNING_SPEED
-    )
+    """Change of the direction of dry friction with speed, in turning speeds."""
+    return np.asarray(1.0 / np.cosh(np.clip(v / TURNING_SPEED, -50, 50)) ** 2)
