@@ -39,7 +39,13 @@ from hybrid.exports.simulator.model import (
 from hybrid.exports.simulator.plan import plan
 from hybrid.exports.simulator.ranges import Ranges, ranges
 from hybrid.exports.simulator.simulator import build_simulator
-from hybrid.exports.simulator.snippets import isaac_events, isaac_lab, mjx, mjx_notes
+from hybrid.exports.simulator.snippets import (
+    isaac_events,
+    isaac_lab,
+    mjx,
+    mjx_notes,
+    range_notes,
+)
 from hybrid.model.program import Program, program_from_model
 from hybrid.robot import Robot
 
@@ -401,6 +407,19 @@ def test_the_function_for_mjx_puts_draws_where_the_file_has_the_numbers(
     assert fields.keys() == expected.keys()
     for name, x in expected.items():
         np.testing.assert_allclose(fields[name], x, rtol=1e-4)
+
+
+def test_what_the_function_for_mjx_does_not_draw_is_said_by_joint():
+    robot = pendulum(3)
+    assert list(range_notes(robot)) == []
+    odd = replace(
+        robot, falling=np.array([[2, 0.1, 0.2]]), knee=np.array([0.5, 0.5, 0.0]),
+        knee_speed=np.full(3, 0.1), frictionloss=np.array([0.0, 0.3, 0.0]),
+    )  # fmt: skip
+    assert list(range_notes(odd)) == [
+        "for MJX: draws of friction that falls with speed, of hinge_2",
+        "for MJX: draws of dry friction beside that which rises with speed, of hinge_0",
+    ]
 
 
 def test_what_mjx_on_jax_does_not_take_is_said_by_joint():

@@ -134,7 +134,7 @@ def _draws(
 
 
 def range_notes(robot: Robot) -> Iterator[str]:
-    """What is in the intervals of an arm, and the function for MJX does not draw."""
+    """What varies in the intervals of an arm, and not in the function for MJX."""
     falls = {int(j) for j in robot.falling[:, 0]}
     tied = {*np.flatnonzero((robot.knee != 0) & (robot.frictionloss == 0)).tolist()}
     for joints, what in (
@@ -143,7 +143,7 @@ def range_notes(robot: Robot) -> Iterator[str]:
     ):
         if joints:
             names = ", ".join(robot.joints[j] for j in sorted(joints))
-            yield f"not drawn by the function for MJX: {what}, of {names}"
+            yield f"for MJX: draws of {what}, of {names}"
 
 
 def mjx_notes(robot: Robot) -> Iterator[str]:
