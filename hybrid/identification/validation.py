@@ -265,8 +265,10 @@ def predict(model: DynamicModel, recording: Recording) -> Array:
         if not np.isfinite(tau).all():
             why = "no torque, but an effect of the model depends on the torque measured"
             if recording.has_torque:
-                why = "the model predicts a torque that is not finite: its numbers are "
-                why += "none"
+                why = (
+                    "the model predicts a torque that is not finite: its numbers are "
+                    "none"
+                )
             raise RecordingError(f"{recording.source or 'recording'}: {why}")
         first, end = np.searchsorted(
             recording.t, [motion.t[0] - step / 2, motion.t[-1] + step / 2]

@@ -99,9 +99,8 @@ def mjx(name: str, ranges: Ranges, nominal: Robot) -> str:
     for joint, own in ranges.keys:
         if (place := _place(nominal, joint, own)) is not None:
             places.setdefault(place, []).append((joint, own))
-    suffix = {place: "/dry" if place == _TENDON else "" for place in places}
     fields = [
-        (*place, [f"{joint}{suffix[place]}" for joint, _ in keys])
+        (*place, [f"{x}/dry" if place == _TENDON else x for x, _ in keys])
         for place, keys in places.items()
     ]
     keys = [key for own in places.values() for key in own]
