@@ -6,13 +6,15 @@ matrix: which effect is named for which. Cases that an earlier run of the same c
 answered are not run again.
 
     python experiments/blind_diagnosis.py --cases 600 --seed 1
+    python experiments/blind_diagnosis.py --cases 168 --strata independent
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from blind.case import TUNED, Case, plan
+from blind.case import STRATA, TUNED, Case, plan
 from blind.run import run_cases
 from blind.tables import by_robot, targets_table, write_benchmark
 from outputs import command_line
@@ -26,11 +28,11 @@ KNOWN = tuple(f"models/{name}.xml" for name in TUNED)
 NEW = ("ur5", "panda", "models/scara.xml", "z1", "xarm7", "ur10")
 
 
-def cases_of(count: int, seed: int) -> list[Case]:
+def cases_of(count: int, seed: int, strata: Sequence[str] | None = None) -> list[Case]:
     """Half of the cases on robots tuned on, half on others, alternating."""
     halves = (
-        plan(KNOWN, count - count // 2, seed=seed),
-        plan(NEW, count // 2, seed=seed),
+        plan(KNOWN, count - count // 2, seed=seed, strata=strata),
+        plan(NEW, count // 2, seed=seed, strata=strata),
     )
     ranked = [
         (k / len(half), case)
@@ -45,12 +47,13 @@ def main() -> None:
     parser = command_line(__doc__, "blind_diagnosis")
     parser.add_argument("--cases", type=int, default=600)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--strata", nargs="+", choices=STRATA, metavar="STRATUM")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--scheduler", help="address of a Dask scheduler")
     parser.add_argument("--log", type=Path, default=LOG)
     args, console = parser.parse_args(), Console(width=200)
     rows = run_cases(
-        cases_of(args.cases, args.seed),
+        cases_of(args.cases, args.seed, args.strata),
         args.log,
         workers=args.workers,
         scheduler=args.scheduler,
@@ -59,6 +62,8 @@ def main() -> None:
     command = (
         f"python experiments/blind_diagnosis.py --cases {args.cases} --seed {args.seed}"
     )
+    if args.strata:
+        command += f" --strata {' '.join(args.strata)}"
     write_benchmark(rows, args.out, tuned=TUNED, how=provenance(command=command))
     console.print(terminal_table(targets_table(by_robot(rows, TUNED))))
 

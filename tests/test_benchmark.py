@@ -141,7 +141,7 @@ def state(**parts):
     shape = np.shape(parts["q"])
     zero = {k: np.zeros(shape) for k in ("t", "q", "v", "a", "load", "sign")}
     fields = JointState.__dataclass_fields__
-    content = {k: x for k, x in {**zero, **parts}.items() if k in fields}
+    content = {k: np.array(x) for k, x in {**zero, **parts}.items() if k in fields}
     rest = {k: None for k in fields if k not in content}
     return JointState(**content, **rest)
 
@@ -172,6 +172,71 @@ def test_soft_saturation_is_linear_below_its_limit_and_flat_far_above():
     iron = INDEPENDENT["soft_saturation"]((0,), values)
     tau = np.array([-200.0, -0.2, 0.0, 0.2, 200.0])
     assert iron.deliver(tau) == pytest.approx([-2.0, -0.2, 0.0, 0.2, 2.0], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "full"),
+    [
+        ("dahl_friction", lambda v, load: 2.0),
+        ("lorentz_friction", lambda v, load: 2.0 / (1.0 + (v / 0.05) ** 2)),
+        ("tooth_friction", lambda v, load: 2.0 * load),
+    ],
+)
+def test_bristles_hold_slide_and_take_energy(name, full):
+    law, step, load = INDEPENDENT[name]((0,), {"level": 2.0}), 0.001, 3.0
+
+    def torque(speed):
+        out, q = [], 0.0
+        for k, v in enumerate(speed):
+            q += v * step
+            now = state(q=[[q]], v=[[v]], load=[[load]], t=[[k * step]], a=[[0.0]])
+            out.append(law.resist(now, np.zeros((1, 1)), step).item())
+        return np.array(out)
+
+    slid = torque(np.full(400, -0.02))
+    assert slid[-1] == pytest.approx(-full(0.02, load), rel=1e-3)
+    held = torque(np.r_[np.full(400, 0.02), np.zeros(400)])
+    assert held[-1] == pytest.approx(held[399], rel=0.1)
+    swing = 0.1 * np.sin(2 * np.pi * np.arange(2000) * step)
+    assert torque(swing) @ swing * step > 0.0
+
+
+def test_a_wobbly_disc_shows_the_speed_of_the_position_it_shows():
+    disc = INDEPENDENT["wobbly_disc"]((0,), {"level": 0.03, "phase": 0.7})
+    q, h = np.linspace(-3.0, 3.0, 50), 1e-6
+    shown, speed = disc.sense(q, np.full_like(q, 2.0))
+    later, _ = disc.sense(q + 2.0 * h, np.full_like(q, 2.0))
+    assert speed == pytest.approx((later - shown) / h, rel=1e-6)
+    plain = effect_classes()["encoder_eccentricity"]
+    first = {"sine": 0.03 * np.cos(0.7), "cosine": -0.03 * np.sin(0.7)}
+    assert shown == pytest.approx(plain((0,), first).sense(q, q)[0], abs=0.03**2)
+
+
+def test_a_boxcar_delays_a_ramp_by_its_half():
+    t = np.arange(0.0, 1.0, 0.002)
+    log = INDEPENDENT["boxcar_log"]((1,), {"level": 0.01})
+    tau = np.stack([np.ones_like(t), 5.0 + 3.0 * t], axis=1)
+    told = log.measure(t, {"tau": tau})["tau"]
+    assert told[20:, 1] == pytest.approx(5.0 + 3.0 * (t[20:] - 0.01), abs=1e-9)
+    assert told[0, 1] == pytest.approx(5.0) and np.all(told[:, 0] == 1.0)
+
+
+def test_drives_lose_what_their_laws_say():
+    tau = np.array([-50.0, -0.01, 0.0, 0.01, 50.0])
+    drop = INDEPENDENT["brush_drop"]((0,), {"level": 2.0}).deliver(tau)
+    assert drop == pytest.approx([-48.0, 0.01, 0.0, -0.01, 48.0], rel=1e-2)
+    weak = INDEPENDENT["magnet_loss"]((0,), {"level": 0.2, "limit": 10.0})
+    assert weak.deliver(tau) == pytest.approx(0.8 * tau / np.hypot(1.0, tau / 50.0))
+
+
+def test_a_hose_pulls_back_and_harder_when_far():
+    hose = INDEPENDENT["stiffening_hose"]((0,), {"level": 3.0, "rest": 0.5})
+    pulls = [
+        hose.resist(state(q=[[q]], v=[[0.0]], load=[[0.0]], t=[[0.0]]), 0, 0).item()
+        for q in (0.4, 0.5, 0.6, 4.5)
+    ]
+    assert pulls[:3] == pytest.approx([-0.3, 0.0, 0.3], rel=1e-3)
+    assert pulls[3] == pytest.approx(12.0 * np.sinh(1.0))
 
 
 @pytest.mark.study
