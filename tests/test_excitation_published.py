@@ -75,7 +75,7 @@ def test_points_stay_within_bounds_and_seeds_repeat():
 
 
 def test_an_odd_population_is_refused():
-    with pytest.raises(HybridError, match="even population"):
+    with pytest.raises(HybridError, match="even number"):
         NicheGenetic([0], [1], rng=np.random.default_rng(0), population=7)
 
 
