@@ -710,6 +710,7 @@ def test_identifiable_is_what_differs_from_zero_by_two_standard_errors(noise):
     X = np.stack(list(columns.values()), axis=1)
     unit = X / np.linalg.norm(X, axis=0)
     assert found.condition == pytest.approx(np.linalg.cond(unit), rel=1e-6)
+    assert {x.split()[0] for x in found.names} == set(columns)
     theta, left = np.linalg.lstsq(X, m.tau[:, 0], rcond=None)[:2]
     error = np.sqrt(np.diagonal(np.linalg.inv(X.T @ X)) * left / len(X))
     unknown = np.abs(theta) < 1.96 * error
@@ -739,6 +740,7 @@ def test_a_clock_s_jitter_and_gaps_are_those_of_its_steps():
     filled = np.delete(steps, 150)
     assert clock.jitter == pytest.approx(filled.std() / 0.01)
     assert (clock.holes, clock.samples) == (1, 201)
+    assert (clock.duration, clock.rate) == pytest.approx((t[-1], 100.0))
     assert clock.missing == pytest.approx(2 / 201)
     assert all(x < y for x, y in pairwise(t))
 

@@ -14,7 +14,6 @@ that samples which a fit does not see tell less clearly.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -37,11 +36,10 @@ _SPLITS = 2, 4, 8  # blocks, of which every other one is not seen
 _EQUAL_GAIN = 0.2  # difference of gain between readings that are equally good
 _FRICTION_ERROR = 0.003  # share of the variance that another friction law leaves
 _SCALE_ERROR = 0.03  # the same of a law that a scale of torque may imitate
+_VALID = "valid are rad, N·m and s, by the robot file's axes and zeros, in its order"
 _WHOSE = {"any": "an arm of real masses leaves", "file": "the file's links leave"}
 _FINALISTS = 6  # readings that are fitted with weighted joints
-_SHARED = (
-    0.02  # of the mean residual share: smallest at one joint, as joints share links
-)
+_SHARED = 0.02  # of the mean residual share: least at a joint, as joints share links
 _MOST_FAULTS = 4  # of one log
 _NEAR_ZERO = 0.1  # of the largest torque: a torque that is always larger has one sign
 _DRY = 0.3  # of the mean torque
@@ -78,27 +76,16 @@ class _Readings:
             Y = np.split(regressor(self.chain, *motion), len(moved))
             self._moved |= zip(new, zip(moved, Y, strict=True), strict=True)
 
-    def residual(
-        self, reading: OtherReading, masses: str, *, rounds: int = 2, blocks: int = 1
-    ) -> Array:
-        """Share of each torque's variance that a fit leaves, shape (n,)."""
-        columns = self.columns(reading, masses)
-        left = columns.residual(*reading.torque, rounds=rounds, blocks=blocks)
+    def residual(self, reading: OtherReading, masses: str, **how: int) -> Array:
+        """:meth:`MassColumns.residual` of a reading, shape (n,)."""
+        left = self.columns(reading, masses).residual(*reading.torque, **how)
         return np.maximum(left, _FRICTION_ERROR) if masses == "file" else left
 
-    def gains(
-        self,
-        others: list[OtherReading],
-        masses: str,
-        *,
-        rounds: int = 2,
-        blocks: int = 1,
-    ) -> list[float]:
+    def gains(self, others: list[OtherReading], masses: str, **how: int) -> list[float]:
         """Gain of other readings over the log as written."""
         self._move(others)
-        left = partial(self.residual, masses=masses, rounds=rounds, blocks=blocks)
-        before = left(self.written)
-        return [_gain(before, left(x), x) for x in others]
+        before = self.residual(self.written, masses, **how)
+        return [_gain(before, self.residual(x, masses, **how), x) for x in others]
 
 
 def doubts_of_magnitude(
@@ -145,7 +132,8 @@ def doubts_of_filter(recording: Recording, robot: Robot | None) -> Iterator[Doub
     """
     if robot is None or not recording.has_torque:
         return
-    motion, cutoff = motion_from_recording(recording), choose_cutoff(recording)
+    cutoff = choose_cutoff(recording)
+    motion = motion_from_recording(recording, cutoff=cutoff)
     few = slice(None, None, max(1, int(motion.rate / (_SAMPLES * cutoff))))
     q, v, a, tau = (x[few] for x in (motion.q, motion.v, motion.a, motion.tau))
     Y, model = regressor(robot.chain, q, v, a), np.zeros_like(tau)
@@ -271,7 +259,4 @@ def _doubt(
         f"{after[j]:.2g} of the variance of {recording.place('tau', j)} unexplained, "
         f"as logged {before[j]:.2g}"
     )
-    remedy = (
-        "valid are rad, N·m and s, by the robot file's axes and zeros, in its order"
-    )
-    return Doubt(reading.channels[0], reading.joints, text, remedy, severity, gain)
+    return Doubt(reading.channels[0], reading.joints, text, _VALID, severity, gain)
