@@ -299,10 +299,6 @@ def test_a_worker_that_is_lost_with_all_it_holds_is_made_up_for(tmp_path, asked)
     [
         ({"arms": {"a": {}}}, "arm a: no robot and no logs"),
         ({"arms": "nowhere", "robot": "scara.xml"}, "no such folder of arms"),
-        ({"arms": {}, "colour": 1}, "unknown 'colour'; valid are"),
-        ({"arms": {"a": {"logs": "x", "robot": "r", "payload": "heavy"}}}, "numbers"),
-        ({"arms": {"a": {"logs": "x", "robot": "r"}}, "period": "hour"}, "valid are"),
-        ({"arms": {"a": {"logs": "x", "robot": "r"}}, "track": ["rust"]}, "rust"),
     ],
 )
 def test_a_plan_that_is_not_valid_is_refused_in_one_line(content, line):

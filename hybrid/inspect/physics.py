@@ -27,7 +27,6 @@ from hybrid.inspect.speeds import speeds_confirm_clock
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Chain
 from hybrid.signals import choose_cutoff, motion_from_recording
 from hybrid.signals.bandwidth import FILTERED, torque_bandwidth
 
@@ -51,9 +50,9 @@ _RANK = 1e-6  # smallest singular value, over the largest
 class _Readings:
     """Residuals of a log by any reading, for each set of masses, shape (n, 10, P)."""
 
-    def __init__(self, chain: Chain, state: State, masses: dict[str, Array]) -> None:
-        self.chain, self.state, self.masses = chain, state, masses
-        each = np.arange(chain.size)
+    def __init__(self, robot: Robot, state: State, masses: dict[str, Array]) -> None:
+        self.robot, self.state, self.masses = robot, state, masses
+        each = np.arange(robot.size)
         self.written = OtherReading((), (), "", each, np.ones(len(each)))
         self._columns: dict[object, MassColumns] = {}
         self._moved: dict[object, tuple[State, Array]] = {}
@@ -64,7 +63,8 @@ class _Readings:
         if key not in self._columns:
             self._move([reading])
             moved, Y = self._moved[reading.motion]
-            self._columns[key] = MassColumns(moved, self.masses[masses], Y)
+            own = self.masses[masses]
+            self._columns[key] = MassColumns(self.robot, moved, own, Y)
         return self._columns[key]
 
     def _move(self, others: Sequence[OtherReading]) -> None:
@@ -73,7 +73,7 @@ class _Readings:
         moved = [x.moved(self.state) for x in new.values()]
         if moved:
             motion = (np.concatenate([getattr(x, k) for x in moved]) for k in "qva")
-            Y = np.split(regressor(self.chain, *motion), len(moved))
+            Y = np.split(regressor(self.robot.chain, *motion), len(moved))
             self._moved |= zip(new, zip(moved, Y, strict=True), strict=True)
 
     def residual(self, reading: OtherReading, masses: str, **how: int) -> Array:
@@ -104,16 +104,17 @@ def doubts_of_magnitude(
     chain, motion = robot.chain, (state.q, state.v, state.a)
     masses, Y = unit_masses(chain), regressor(chain, *motion)
     plain = np.arange(chain.size), np.ones(chain.size)
-    before = after = MassColumns(state, masses, Y).residual(*plain)
+    before = after = MassColumns(robot, state, masses, Y).residual(*plain)
     likely = inverse_dynamics(chain, chain.inertial, *motion)
     likely += _DRY * state.tau.mean(axis=0) * smooth_sign(state.v)
     for _ in range(_SIGN_ROUNDS):
         sign = np.where(suspect & (likely < 0), -1.0, 1.0)
-        columns = MassColumns(replace(state, tau=sign * state.tau), masses, Y)
+        signed = replace(state, tau=sign * state.tau)
+        columns = MassColumns(robot, signed, masses, Y)
         after, likely = columns.residual(*plain), columns.explained
     # Signs change the variance, too, to which the shares refer.
-    signed, logged = (x[:, suspect].var(axis=0) for x in (sign * state.tau, state.tau))
-    after[suspect] *= signed / logged
+    variance = [x.tau[:, suspect].var(axis=0) for x in (signed, state)]
+    after[suspect] *= variance[0] / variance[1]
     gain = 0.5 * np.log(before / after)
     for j in np.flatnonzero(suspect & (gain > _LEAST_GAIN)).tolist():
         text = (
@@ -160,7 +161,7 @@ def doubts_of_physics(
     if robot.chain.inertial.any():
         masses["file"] = robot.chain.inertial[:, :, None]
     for _ in range(_MOST_FAULTS):
-        found = _better_reading(_Readings(robot.chain, state, masses), clock_is_right)
+        found = _better_reading(_Readings(robot, state, masses), clock_is_right)
         if found is None:
             return
         yield _doubt(recording, *found)
@@ -209,7 +210,7 @@ def _others(log: _Readings, clock_is_right: bool) -> list[OtherReading]:
     moving = np.flatnonzero(np.ptp(log.state.q, axis=0) > STILL).tolist()
     pairs = np.log(log.columns(log.written, "any").residual_of_pairs())
     best = linear_sum_assignment(pairs)[1]
-    others = list(readings(log.chain, moving, best, log.state))
+    others = list(readings(log.robot, moving, best, log.state.later))
     # Masses anywhere turn with a joint: its zero has to be told by the file's links.
     turned = [x for x in others if np.any(x.shift)]
     known = "file" in log.masses and turned
