@@ -78,7 +78,8 @@ class _Readings:
 
     def residual(self, reading: OtherReading, masses: str, **how: int) -> Array:
         """:meth:`MassColumns.residual` of a reading, shape (n,)."""
-        left = self.columns(reading, masses).residual(*reading.torque, **how)
+        order, factor = reading.torque
+        left = self.columns(reading, masses).residual(order, factor, **how)
         return np.maximum(left, _FRICTION_ERROR) if masses == "file" else left
 
     def gains(self, others: list[OtherReading], masses: str, **how: int) -> list[float]:
