@@ -15,14 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 from calibration_logs import ERRORS, KINDS, Log
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from rich.console import Console
 
 from hybrid.calibration import calibrate
 from hybrid.calibration.calibrate import Calibration
-from hybrid.files import atomic_path
-from hybrid.report import provenance, terminal_table, write_results
-from hybrid.report.table import Table, markdown_table
+from hybrid.report import terminal_table
+from hybrid.report.table import Table
 from hybrid.robot import Robot
 
 FRAMES = ("base", "tool", "reflector", "station")
@@ -82,11 +81,7 @@ def main() -> None:
     Console(width=100, highlight=False).print(terminal_table(table))
     command = f"python experiments/calibration_intervals.py --arm {args.arm} "
     command += f"--poses {args.poses} --seeds {args.seeds}"
-    with atomic_path(args.out / "table.md") as path:
-        text = f"{table.caption}\n\n{markdown_table(table)}\n    {command}\n"
-        path.write_text(text, encoding="utf-8")
-    content = {"rows": rows, "provenance": provenance(command=command)}
-    write_results(args.out / "results.json", content)
+    write_tables(args.out, captioned(table), command, rows=rows)
 
 
 if __name__ == "__main__":

@@ -22,14 +22,12 @@ from compensation_models import diagnosed_effects, fitted_models
 from compensation_observer import residual, smallest_force, threshold
 from compiled_model import CompiledModel
 from measures import measures_figure, measures_table
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from rich.console import Console
 
 from hybrid import simulate
-from hybrid.files import atomic_path
 from hybrid.plant import random_fourier
-from hybrid.report import markdown_table, provenance, save_figure, terminal_table
-from hybrid.report import write_results as write
+from hybrid.report import save_figure, terminal_table
 
 MEASURES = {"tracking": "mrad", "hand": "% of rated torque", "push": "N"}
 
@@ -79,11 +77,7 @@ def main() -> None:
             measures_figure(runs[0]["models"], values, MEASURES),
             args.out / "figure.png",
         )
-        content = {"provenance": provenance(command=command), "runs": runs}
-        write(args.out / "results.json", content)
-        with atomic_path(args.out / "table.md") as path:
-            text = f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n"
-            path.write_text(text)
+        write_tables(args.out, captioned(table), command, runs=runs)
     console.print(terminal_table(table))
 
 

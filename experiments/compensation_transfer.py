@@ -21,14 +21,12 @@ from compensation import kinds_of_motion, load_arm
 from compensation_learned import learned
 from compensation_models import diagnosed_effects
 from measures import measures_figure, measures_table
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from rich.console import Console
 
 from hybrid import identify, simulate, validate
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
-from hybrid.report import markdown_table, provenance, save_figure, terminal_table
-from hybrid.report import write_results as write
+from hybrid.report import save_figure, terminal_table
 from hybrid.signals import motion_from_recording
 
 MEASURES = dict.fromkeys(("seen before", "payload", "faster", "learned"), "N·m")
@@ -77,13 +75,7 @@ def main() -> None:
     save_figure(
         measures_figure(runs[0]["models"], values, MEASURES), args.out / "figure.png"
     )
-    write(
-        args.out / "results.json",
-        {"provenance": provenance(command=command), "runs": runs},
-    )
-    with atomic_path(args.out / "table.md") as path:
-        text = f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n"
-        path.write_text(text)
+    write_tables(args.out, captioned(table), command, runs=runs)
     console.print(terminal_table(table))
 
 

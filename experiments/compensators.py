@@ -20,14 +20,12 @@ import numpy as np
 from coman import simulate_run
 from compensator_choice import choice
 from compensator_learners import COLUMNS, LEARNERS, samples, score
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from rich.console import Console
 
 from hybrid import identify
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
-from hybrid.report import Table, markdown_table, provenance, terminal_table
-from hybrid.report import write_results as write
+from hybrid.report import Table, terminal_table
 
 JOINTS = (0, 2, 3)
 
@@ -41,12 +39,9 @@ def report(out: Path, values: np.ndarray, command: str, count: int) -> Table:
         rows.append((name, *(f"{x:.3g}" for x in middle[k]), spread))
     caption = f"Medians over {count} seeds and {len(JOINTS)} joints; times of one core"
     table = Table(("", *COLUMNS, "error, lowest–highest"), tuple(rows), caption)
-    content = {"provenance": provenance(command=command), "columns": COLUMNS}
-    write(out / "results.json", {**content, "values": values, "names": [*LEARNERS]})
-    with atomic_path(out / "table.md") as path:
-        said = choice(values)
-        text = f"{caption}.\n\n{markdown_table(table)}\n{said}\n\n    {command}\n"
-        path.write_text(text)
+    content = {"columns": COLUMNS, "values": values, "names": [*LEARNERS]}
+    text = f"{captioned(table)}\n{choice(values)}\n"
+    write_tables(out, text, command, **content)
     return table
 
 

@@ -1,9 +1,9 @@
 """Table of designed motions against random ones."""
 
 import numpy as np
+from outputs import write_tables
 
-from hybrid.files import atomic_path
-from hybrid.report import Table, markdown_table, provenance, write_results
+from hybrid.report import Table, markdown_table
 
 FITS = ("plain least squares", "weighted", "with friction")
 
@@ -44,11 +44,8 @@ def write(folder, options, runs):
     command = f"python experiments/designed_against_random.py --first {options.first}"
     command += f" --seeds {options.seeds} --arms {' '.join(options.arms)}"
     command += f" --cutoff {options.cutoff:g}" if options.cutoff else ""
-    text = f"{lead}\n\n{table}\n\n{seen}\n\n{pooled}\n\n`{command}`\n"
-    with atomic_path(folder / "table.md") as path:
-        path.write_text(text, encoding="utf-8")
-    content = {"provenance": provenance(command=command), "runs": runs}
-    write_results(folder / "results.json", content)
+    text = f"{lead}\n\n{table}\n\n{seen}\n\n{pooled}"
+    write_tables(folder, text, command, runs=runs)
 
 
 def spread(x):

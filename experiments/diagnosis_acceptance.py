@@ -17,11 +17,10 @@ from __future__ import annotations
 
 from diagnosis_acceptance_case import JOINTS, run
 from diagnosis_acceptance_report import summary, table
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from rich.console import Console
 
-from hybrid.files import atomic_path
-from hybrid.report import markdown_table, provenance, terminal_table, write_results
+from hybrid.report import terminal_table
 
 
 def main() -> None:
@@ -35,14 +34,8 @@ def main() -> None:
     shown, text = table(runs), "\n".join(f"- {line}" for line in summary(runs))
     Console(width=140).print(terminal_table(shown), text, highlight=False)
     command = f"python experiments/diagnosis_acceptance.py --seeds {seeds}"
-    with atomic_path(args.out / "table.md") as path:
-        path.write_text(
-            f"{shown.caption}.\n\n{markdown_table(shown)}\n{text}\n\n    {command}\n"
-        )
-    content = {"provenance": provenance(command=command)}
-    write_results(
-        args.out / "results.json", content | {"runs": [x.as_dict() for x in runs]}
-    )
+    text = f"{captioned(shown)}\n{text}\n"
+    write_tables(args.out, text, command, runs=[x.as_dict() for x in runs])
 
 
 if __name__ == "__main__":

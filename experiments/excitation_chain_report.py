@@ -1,9 +1,9 @@
 """Table of a chain of designs."""
 
 import numpy as np
+from outputs import write_tables
 
-from hybrid.files import atomic_path
-from hybrid.report import Table, markdown_table, provenance, write_results
+from hybrid.report import Table, markdown_table
 
 MOTIONS = 3
 # Name of each row, and its number of motions.
@@ -45,11 +45,5 @@ def write(folder, seeds, arms, runs):
     command = f"python experiments/excitation_chain.py --seeds {seeds} --arms "
     command += " ".join(arms)
     table = markdown_table(Table(header, tuple(rows)))
-    with atomic_path(folder / "table.md") as path:
-        path.write_text(f"{lead}\n\n{table}\n\n`{command}`\n", encoding="utf-8")
-    content = {
-        "provenance": provenance(command=command),
-        "rows": tuple(ROWS),
-        "runs": runs,
-    }
-    write_results(folder / "results.json", content)
+    text = f"{lead}\n\n{table}"
+    write_tables(folder, text, command, rows=tuple(ROWS), runs=runs)

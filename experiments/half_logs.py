@@ -18,19 +18,18 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from outputs import command_line
+from outputs import command_line, write_tables
 from real_arms_data import ARMS, Arm
 
 from hybrid import Motion, Robot, identify, read_recordings
 from hybrid.effects import Effect
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
 from hybrid.identification.preparation import linear_effects, prepare
 from hybrid.identification.solver import Solver
 from hybrid.regression.cross_products import accumulate
 from hybrid.regression.intervals import Estimate
 from hybrid.regression.problem import build_problem
-from hybrid.report import Table, markdown_table, provenance, write_results
+from hybrid.report import Table, markdown_table
 from hybrid.signals import motion_from_recording
 
 STAGES = {
@@ -112,11 +111,8 @@ def main() -> None:
     header = ("arm", "fit", "share that agrees", "of each pair", "parameters")
     command = "python experiments/half_logs.py DATA_FOLDER"
     lead = (__doc__ or "").split("\n\n")[1]
-    text = f"{lead}\n\n{markdown_table(Table(header, rows))}\n\n`{command}`\n"
-    with atomic_path(args.out / "table.md") as path:
-        path.write_text(text, encoding="utf-8")
-    content = {"provenance": provenance(command=command), "differences": every}
-    write_results(args.out / "results.json", content)
+    text = f"{lead}\n\n{markdown_table(Table(header, rows))}"
+    write_tables(args.out, text, command, differences=every)
 
 
 if __name__ == "__main__":

@@ -10,11 +10,11 @@ import numpy as np
 from improved_stribeck_figure import way_down
 from improved_stribeck_solvers import solvers_table, together_table
 from joint_friction_logs import NAMES
+from outputs import captioned, write_tables
 from rich.console import Console
 
-from hybrid.files import atomic_path
-from hybrid.report import provenance, save_figure, terminal_table, write_results
-from hybrid.report.table import Table, markdown_table
+from hybrid.report import save_figure, terminal_table
+from hybrid.report.table import Table
 
 PUBLISHED = {  # % of the error of the computed joint torque removed, joints 1–3
     "Coulomb + viscous": (28.6, 17.7, 33.6),
@@ -96,32 +96,22 @@ def write_report(
     options: str,
 ) -> None:
     """Print the tables and write them, the figure and the numbers."""
-    command, console = (
-        f"python experiments/improved_stribeck.py {options}",
-        Console(width=170),
-    )
+    command = f"python experiments/improved_stribeck.py {options}"
+    console = Console(width=170)
     tables = [
         _recovered(joints),
         _removed(joints),
         solvers_table(joints, generations),
         together_table(together),
     ]
-    texts = [f"{t.caption}.\n\n{markdown_table(t)}" for t in tables]
+    texts = [captioned(t) for t in tables]
     texts.insert(2, _main_result(joints))
     for table in tables:
         console.print(terminal_table(table))
     console.print(texts[2])
     save_figure(way_down(joints), out / "figure.png")
-    with atomic_path(out / "table.md") as path:
-        path.write_text("\n".join(texts) + f"\n    {command}\n", "utf-8")
     for found in (x for joint in joints for x in joint["searches"].values()):
         for run in (run for runs in found.values() for run in runs):
             run["history"] = run["history"][::25]  # the figure has drawn every step
-    write_results(
-        out / "results.json",
-        {
-            "provenance": provenance(command=command),
-            "joints": joints,
-            "together": together,
-        },
-    )
+    text = "\n".join(texts)
+    write_tables(out, text, command, joints=joints, together=together)

@@ -8,13 +8,12 @@ from pathlib import Path
 from kinematic_calibration_figure import way_down
 from kinematic_calibration_tables import Runs, bounds_table, cost_table, errors_table
 from mh6 import LABELS, PUBLISHED, TRUE
+from outputs import captioned, write_tables
 from rich.console import Console
 
 from hybrid.calibration import Measurements
 from hybrid.calibration.solve import KinematicSolution
-from hybrid.files import atomic_path
-from hybrid.report import provenance, save_figure, terminal_table, write_results
-from hybrid.report.table import markdown_table
+from hybrid.report import save_figure, terminal_table
 
 
 def write_report(
@@ -38,9 +37,6 @@ def write_report(
     command = f"python experiments/kinematic_calibration.py {options}"
     for table in tables:
         Console(width=140, highlight=False).print(terminal_table(table))
-    text = "\n".join(f"{x.caption}\n\n{markdown_table(x)}" for x in tables)
-    with atomic_path(out / "table.md") as temporary:
-        temporary.write_text(f"{text}\n{note}\n    {command}\n", encoding="utf-8")
     save_figure(way_down(runs, solution, test), out / "figure.png")
     ours = {"x": solution.x, "seconds": seconds, "iterations": solution.iterations}
     for run in runs:  # the figure has drawn every step
@@ -48,5 +44,5 @@ def write_report(
             found["history"] = found["history"][::50]
     content = {"labels": LABELS, "true": TRUE, "published": PUBLISHED, "search": runs}
     content |= {"least_squares": ours | {"evaluations": solution.evaluations}}
-    content |= {"bounds": bounds, "provenance": provenance(command=command)}
-    write_results(out / "results.json", content)
+    text = f"{captioned(*tables)}\n{note}"
+    write_tables(out, text, command, bounds=bounds, **content)

@@ -19,17 +19,14 @@ import numpy as np
 from measured_speed_arms import arms_table
 from measured_speed_logs import ENCODERS, SPEEDS
 from measured_speed_simulated import simulated
+from outputs import captioned, write_tables
 from rich.console import Console
 
 from hybrid import Robot
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
 from hybrid.report import (
     Table,
-    markdown_table,
-    provenance,
     terminal_table,
-    write_results,
 )
 
 ROOT = Path(__file__).parents[1]
@@ -67,11 +64,7 @@ def main() -> None:
         Console(width=150).print(terminal_table(table))
     command = f"python experiments/measured_speed.py --seeds {args.seeds}"
     command += " --data DATA_FOLDER" if args.data else ""
-    text = "\n".join(f"{x.caption}.\n\n{markdown_table(x)}" for x in tables)
-    with atomic_path(args.out / "table.md") as path:
-        path.write_text(f"{text}\n    {command}\n", encoding="utf-8")
-    content = {"provenance": provenance(command=command), "simulated": ratios}
-    write_results(args.out / "results.json", content)
+    write_tables(args.out, captioned(*tables), command, simulated=ratios)
 
 
 if __name__ == "__main__":

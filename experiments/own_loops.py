@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from blind.robots import load_arm
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from own_fault import KINDS, Fault
 from own_loop import OwnLoop
 from own_motion import Make
@@ -33,14 +33,10 @@ from rich.console import Console
 from hybrid import Diagnosis, diagnose
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.errors import HybridWarning, RecordingError
-from hybrid.files import atomic_path
 from hybrid.plant import random_fourier
 from hybrid.report import (
     Table,
-    markdown_table,
-    provenance,
     terminal_table,
-    write_results,
 )
 from hybrid.robot import Robot
 from hybrid.shown import plain
@@ -247,12 +243,7 @@ def write_report(
 ) -> None:
     """Print a table with its summary, and write it with all runs."""
     Console(width=200).print(terminal_table(table), summary, highlight=False)
-    with atomic_path(folder / "table.md") as path:
-        path.write_text(
-            f"{table.caption}.\n\n{markdown_table(table)}\n{summary}\n\n    {command}\n"
-        )
-    content = {"provenance": provenance(command=command), "runs": runs}
-    write_results(folder / "results.json", content)
+    write_tables(folder, f"{captioned(table)}\n{summary}\n", command, runs=runs)
 
 
 if __name__ == "__main__":

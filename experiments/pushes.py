@@ -20,14 +20,13 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from outputs import command_line
+from outputs import command_line, write_tables
 
 from hybrid import Recording, Robot, identify, read_recordings
 from hybrid.arrays import Array
 from hybrid.diagnosis import diagnose
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
-from hybrid.report import Table, markdown_table, provenance, write_results
+from hybrid.report import Table, markdown_table
 from hybrid.signals import Sampler
 
 FORCES, LASTS = (30.0, 120.0), (0.3, 1.0)  # N, s
@@ -157,11 +156,8 @@ def main() -> None:
     count = sum(bool(r[6]) for r in rows)
     said = f"Found: {count} of {len(rows)}; other events: {sum(r[10] for r in rows)}."
     lead = (__doc__ or "").split("\n    python")[0].strip()
-    with atomic_path(args.out / "table.md") as path:
-        path.write_text(f"{lead}\n\n{said}\n\n{table}\n\n`{command}`\n", "utf-8")
-    content = {"provenance": provenance(command=command), "header": HEADER,
-               "rows": rows}  # fmt: skip
-    write_results(args.out / "results.json", content)
+    text = f"{lead}\n\n{said}\n\n{table}"
+    write_tables(args.out, text, command, header=HEADER, rows=rows)
 
 
 if __name__ == "__main__":

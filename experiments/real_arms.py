@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from published_chain import beside, published_chain
 from real_arms_data import ARMS, Arm, Score, held_out_squares
 from real_arms_report import arm_table, ratio_figure
@@ -27,13 +27,9 @@ from rich.console import Console
 
 from hybrid import Robot, identify, read_recordings, validate
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
 from hybrid.report import (
-    markdown_table,
-    provenance,
     save_figure,
     terminal_table,
-    write_results,
 )
 from hybrid.signals import motion_from_recording
 
@@ -72,16 +68,13 @@ def main() -> None:
             console.print(score.said(), highlight=False)
         table = arm_table(found)
         console.print(terminal_table(table))
-        text += f"{table.caption}.\n\n{markdown_table(table)}\n"
+        text += f"{captioned(table)}\n"
         text += "".join(f"- {x.said()}\n" for x in found) + "\n"
         scores += found
     command = "python experiments/real_arms.py DATA_FOLDER"
-    with atomic_path(args.out / "table.md") as path:
-        path.write_text(f"{text}    {command}\n", encoding="utf-8")
     save_figure(ratio_figure(scores), args.out / "figure.png")
-    content = {"provenance": provenance(command=command)}
-    content["scores"] = [x.as_dict() for x in scores]
-    write_results(args.out / "results.json", content)
+    text = text.removesuffix("\n")
+    write_tables(args.out, text, command, scores=[x.as_dict() for x in scores])
 
 
 if __name__ == "__main__":

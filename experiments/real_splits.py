@@ -13,12 +13,11 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from outputs import command_line
+from outputs import command_line, write_tables
 from real_arms_data import ARMS, Arm
 
 from hybrid import Robot, read_recordings
@@ -26,8 +25,7 @@ from hybrid.arrays import Array
 from hybrid.diagnosis import diagnose
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
-from hybrid.report import Table, markdown_table, provenance, write_results
+from hybrid.report import Table, markdown_table
 
 QUARTERS = 4
 
@@ -64,10 +62,10 @@ def main() -> None:
     args, rows = parser.parse_args(), []
     warnings.simplefilter("ignore", HybridWarning)  # columns of the logs not needed
     command = "python experiments/real_splits.py DATA_FOLDER"
-    content: dict[str, Any] = {"provenance": provenance(command=command), "ratios": {}}
+    ratios = {}
     for arm in ARMS:
         each = ratios(arm, args.data)
-        content["ratios"][arm.name] = each.tolist()
+        ratios[arm.name] = each.tolist()
         for k, row in enumerate(each):
             rows.append(
                 (arm.name, f"{k + 1}", *(f"{x:.2f}" for x in (*row, mean(row))))
@@ -77,10 +75,8 @@ def main() -> None:
         rows.append((arm.name, "worse", *(f"{sum(x > 1)}" for x in each.T), ""))
     header = "arm", "quarter held out", *(f"joint {j + 1}" for j in range(6)), "mean"
     lead = (__doc__ or "").split("\n\n")[1]
-    table = markdown_table(Table(header, tuple(rows)))
-    with atomic_path(args.out / "table.md") as path:
-        path.write_text(f"{lead}\n\n{table}\n\n`{command}`\n", encoding="utf-8")
-    write_results(args.out / "results.json", content)
+    text = f"{lead}\n\n{markdown_table(Table(header, tuple(rows)))}"
+    write_tables(args.out, text, command, ratios=ratios)
 
 
 if __name__ == "__main__":

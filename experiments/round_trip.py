@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 from compiled_model import CompiledModel
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from rich.console import Console
 from round_trip_cases import Case, cases, moving, with_callback
 
@@ -28,8 +28,7 @@ from hybrid import Robot
 from hybrid.errors import HybridWarning
 from hybrid.exports import missing_model, model_simulator
 from hybrid.exports.simulator.check import file_torque, gaps
-from hybrid.files import atomic_path
-from hybrid.report import markdown_table, provenance, terminal_table, write_results
+from hybrid.report import terminal_table
 from hybrid.report.table import Table
 
 TABLE = (
@@ -101,11 +100,7 @@ def main() -> None:
     Console(width=130).print(terminal_table(table))
     command = "python experiments/round_trip.py --data DATA_FOLDER"
     command += " --diagnose" * args.diagnose
-    with atomic_path(args.out / f"{stem}.md") as path:
-        text = f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n"
-        path.write_text(text, encoding="utf-8")
-    content = {"provenance": provenance(command=command), "rows": rows}
-    write_results(args.out / f"{stem.replace('table', 'results')}.json", content)
+    write_tables(args.out, captioned(table), command, stem=stem, rows=rows)
 
 
 if __name__ == "__main__":

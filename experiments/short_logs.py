@@ -17,15 +17,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from outputs import command_line
+from outputs import command_line, write_tables
 from real_arms_data import ARMS, Arm, held_out_squares, ratios
 
 from hybrid import Recording, Robot, identify, read_recordings
 from hybrid.arrays import Array
 from hybrid.errors import HybridWarning
-from hybrid.files import atomic_path
 from hybrid.identification.preparation import motions_from_logs
-from hybrid.report import Table, markdown_table, provenance, write_results
+from hybrid.report import Table, markdown_table
 
 SECONDS = {"UR10": (10.0, 20.0), "TX40": (3.0, 6.0), "KR300": (5.0, 9.9)}
 SLOW = 50.0  # Hz
@@ -98,11 +97,8 @@ def main() -> None:
                 print(*table[-1], sep=" | ", flush=True)
     command = "python experiments/short_logs.py DATA_FOLDER"
     command += f" --first {args.first} --draws {args.draws}"
-    text = f"{markdown_table(Table(HEADER, tuple(table)))}\n    {command}\n"
-    with atomic_path(args.out / "table.md") as path:
-        path.write_text(text, encoding="utf-8")
-    content = {"provenance": provenance(command=command), "squares": every}
-    write_results(args.out / "results.json", content)
+    text = markdown_table(Table(HEADER, tuple(table)))
+    write_tables(args.out, text, command, squares=every)
 
 
 if __name__ == "__main__":

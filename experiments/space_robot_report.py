@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from outputs import captioned, write_tables
 from rich.console import Console
 from space_robot import NAMES, SAMPLES, TRUE
 from space_robot_searches import Run
 from space_robot_variances import variances_table
 
 from hybrid.arrays import Array
-from hybrid.files import atomic_path
-from hybrid.report import markdown_table, provenance, save_figure, terminal_table
-from hybrid.report.output import write_results
+from hybrid.report import save_figure, terminal_table
 from hybrid.report.style import BLUE, GREY, OTHERS, RED, clean, legend, new_figure
 from hybrid.report.table import Table
 
@@ -96,11 +95,8 @@ def write_report(
     tables = [table, variances_table(runs)]
     Console(width=210).print(*map(terminal_table, tables))
     command = f"python experiments/space_robot_online.py {options}"
-    with atomic_path(out / "table.md") as path:
-        text = "\n".join(f"{x.caption}.\n\n{markdown_table(x)}" for x in tables)
-        path.write_text(f"{text}\n    {command}\n")
     save_figure(_figure(exact), out / "figure.png")
-    content = {"provenance": provenance(command=command), "true": TRUE}
+    content: dict[str, object] = {"true": TRUE}
     for data, methods in runs.items():
         for name, each in methods.items():
             last = np.array([run.path[-1] for run in each])
@@ -110,4 +106,4 @@ def write_report(
                 "updates": [run.updates for run in each],
                 "cost": [run.cost for run in each],
             }
-    write_results(out / "results.json", content)
+    write_tables(out, captioned(*tables), command, **content)

@@ -17,17 +17,13 @@ from typing import Any
 
 import numpy as np
 from designed_coman import compare, designed_run
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from rich.console import Console
 from study import Study
 
-from hybrid.files import atomic_path
 from hybrid.report import (
-    markdown_table,
-    provenance,
     save_figure,
     terminal_table,
-    write_results,
 )
 
 PUBLISHED = {
@@ -74,12 +70,8 @@ def write(folder: Path, runs: list[dict[str, Any]]) -> None:
     """Table, figure and numbers of the seeds so far."""
     command = f"python experiments/three_stage_coman.py --seeds {len(runs)}"
     found = Study.of(runs, PUBLISHED)
-    table = found.table()
     save_figure(found.figure(), folder / "figure.png")
-    content = {"provenance": provenance(command=command), "runs": runs}
-    write_results(folder / "results.json", content)
-    with atomic_path(folder / "table.md") as path:
-        path.write_text(f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n")
+    write_tables(folder, captioned(found.table()), command, runs=runs)
 
 
 if __name__ == "__main__":

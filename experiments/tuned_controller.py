@@ -24,7 +24,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from coman import ROOT
 from measures import measures_table
-from outputs import command_line
+from outputs import captioned, command_line, write_tables
 from rich.console import Console
 from tuned_controller_task import (
     RATE,
@@ -41,12 +41,11 @@ from hybrid import Recording, Robot, identify, simulate
 from hybrid.effects import effects_from_text
 from hybrid.errors import HybridWarning
 from hybrid.exports import model_simulator
-from hybrid.files import atomic_path
 from hybrid.plant import Plant
 from hybrid.plant.joint_fields import curves
 from hybrid.plant.lockstep import Lockstep
 from hybrid.plant.scale import joint_scales
-from hybrid.report import markdown_table, provenance, terminal_table, write_results
+from hybrid.report import terminal_table
 from hybrid.robot.chain import Chain
 
 TRUTH = "payload,armature,stribeck,nonlinear_viscous,load_friction,torque_ripple"
@@ -119,11 +118,7 @@ def main() -> None:
         console.print(seed, np.round(runs[-1], 2).tolist())
     table = measures_table(METHODS, {"error": np.array(runs)}, {"error": "mrad"})
     command = f"python experiments/tuned_controller.py --seeds {args.seeds}"
-    with atomic_path(args.out / "table.md") as path:
-        text = f"{table.caption}.\n\n{markdown_table(table)}\n    {command}\n"
-        path.write_text(text, encoding="utf-8")
-    content = {"provenance": provenance(command=command), "runs": runs}
-    write_results(args.out / "results.json", content)
+    write_tables(args.out, captioned(table), command, runs=runs)
     console.print(terminal_table(table))
 
 

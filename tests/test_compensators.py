@@ -9,7 +9,7 @@ from learners.em import fit_structured
 from learners.network import groups
 
 from hybrid.compensator.gmr_fit import fit_gmr
-from hybrid.errors import HybridError, ModelFileError
+from hybrid.errors import HybridError
 
 BOUND, NOISE = 0.6, 0.03
 HISTORY = 4
@@ -117,26 +117,6 @@ def test_it_refuses_numbers_that_are_not_finite(kind, bad):
     x[1, 0] = bad
     with pytest.raises(HybridError, match="at row 1, column 0; valid are finite"):
         model.predict(x)
-
-
-@each
-def test_saved_arrays_give_the_same_bits(kind):
-    model, (x, _) = learned(kind), samples(kind, 100, seed=3)
-    again = type(model).from_arrays(model.arrays())
-    for ours, theirs in zip(
-        model.predict_distribution(x), again.predict_distribution(x), strict=True
-    ):
-        assert np.array_equal(ours, theirs)
-
-
-@each
-def test_damaged_arrays_are_refused(kind):
-    model = learned(kind)
-    for name in model.arrays():
-        arrays = dict(model.arrays())
-        del arrays[name]
-        with pytest.raises(ModelFileError):
-            type(model).from_arrays(arrays)
 
 
 @each

@@ -19,7 +19,6 @@ from search.search import minimise
 from series import FourierQuintic
 
 from hybrid.effects import effects_from_text
-from hybrid.errors import HybridError
 from hybrid.excitation import (
     Condition,
     Fourier,
@@ -60,23 +59,6 @@ def test_niches_keep_the_population_apart():
         minimise(search, lambda x: 1 + (x**2).sum(axis=1), 60)
         spread.append(search.ask().std())
     assert spread[1] > 2 * spread[0]
-
-
-def test_points_stay_within_bounds_and_seeds_repeat():
-    runs = []
-    for _ in range(2):
-        search = NicheGenetic([0, 5], [1, 6], rng=np.random.default_rng(4))
-        for _ in range(10):
-            x = search.ask()
-            assert (x >= [0, 5]).all() and (x <= [1, 6]).all()
-            search.tell(x.sum(axis=1))
-        runs.append(search.best.point)
-    assert np.array_equal(*runs)
-
-
-def test_an_odd_population_is_refused():
-    with pytest.raises(HybridError, match="even population"):
-        NicheGenetic([0], [1], rng=np.random.default_rng(0), population=7)
 
 
 def program(criterion, observation, kind=MotionProgram, **options):

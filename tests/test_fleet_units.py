@@ -337,6 +337,7 @@ def test_of_what_is_no_plan_eighty_characters_are_shown(tmp_path):
     [
         ("false_alarms: 0", "false_alarms is 0; valid is a number above 0"),
         ("time_limit: true", "time_limit is True"),
+        ("time_limit: x", "time_limit is 'x'"),
         ("period: year", "valid are day, week, month, log"),
         ("diagnose: 1", "diagnose is true or false"),
         ("speed: 1", "unknown 'speed'"),
@@ -344,6 +345,7 @@ def test_of_what_is_no_plan_eighty_characters_are_shown(tmp_path):
         ("payload: a", "payload, tool and limits are numbers"),
         ("limits: {coulomb: much}", "payload, tool and limits are numbers"),
         ("track: [coulomb.size]", "has no gain 'size'"),
+        ("track: [rust]", "rust"),
         ("robot: none.xml", "arm a: .*none.xml: no such robot file"),
     ],
 )

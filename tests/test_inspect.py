@@ -34,12 +34,9 @@ from hybrid.plant.scale import joint_scales
 from hybrid.recording import write
 from hybrid.robot import Robot
 
-ARMS = ("scara", "ur5", "coman_like")
+ARMS = ("scara", "coman_like", "ur5")
 # What these motions do not tell: a planar arm and its mirror image move alike.
-UNTOLD = {
-    ("scara", "joints swapped"),
-    ("scara", "sign of a joint"),
-}
+UNTOLD = {("scara", "sign of a joint")}
 
 
 @cache
@@ -56,7 +53,7 @@ def real(name: str) -> Robot:
 @cache
 def right(name: str, small: bool = False):
     reach = 0.08 if small else None
-    return healthy(real(name), nominal=robot(name), seed=3, reach=reach)
+    return healthy(real(name), nominal=robot(name), seed=3, reach=reach, duration=6.0)
 
 
 def wrong(name: str, kind: str):
@@ -116,25 +113,24 @@ def turned(x, joint, angle):
     [
         (lambda x, arm: replace(x, tau=100 * x.tau / arm.tau_max), "percent of the"),
         (lambda x, arm: turned(x, 1, np.pi / 2), "zero a quarter turn off"),
-        (lambda x, arm: turned(x, 1, np.pi), "zero half a turn off"),
         (lambda x, arm: late(x, 0.096), "some 0.1 s late"),
-        pytest.param(
-            lambda x, arm: turned(x, 3, -np.pi / 2), "zero a quarter turn off",
-            marks=pytest.mark.study,
-        ),
-        pytest.param(
-            lambda x, arm: late(x, 0.25), "some 0.2 s late", marks=pytest.mark.study
+        *(
+            pytest.param(*case, marks=pytest.mark.study)
+            for case in (
+                (lambda x, arm: turned(x, 1, np.pi), "zero half a turn off"),
+                (lambda x, arm: turned(x, 3, -np.pi / 2), "zero a quarter turn off"),
+                (lambda x, arm: late(x, 0.25), "some 0.2 s late"),
+            )
         ),
     ],
-)  # fmt: skip
+)
 def test_percent_another_zero_and_late_torques_are_told(spoil, words):
     doubts = inspect_recording(spoil(right("ur5"), robot("ur5")), robot("ur5")).doubts
     assert [d.severity for d in doubts if words in d.text] == ["error"]
 
 
-@pytest.mark.parametrize("seconds", [0.02, 0.04])
-def test_torques_as_late_as_those_of_a_slow_bus_are_no_fault(seconds):
-    assert not inspect_recording(late(right("ur5"), seconds), robot("ur5")).doubts
+def test_torques_as_late_as_those_of_a_slow_bus_are_no_fault():
+    assert not inspect_recording(late(right("ur5"), 0.04), robot("ur5")).doubts
 
 
 @pytest.mark.parametrize("name", [ARMS[0], *studied(*ARMS[1:])])
@@ -190,9 +186,8 @@ def pair(axis: str, centre: float) -> Robot:
 def test_a_last_link_may_be_long(axis, centre):
     """Nothing beyond the last joint tells a link's length but its own mass."""
     arm = pair(axis, centre)
-    for seed in range(2):
-        (log,) = simulate(arm, trajectories=1, duration=6.0, seed=seed)
-        assert not inspect_recording(log, arm).doubts
+    (log,) = simulate(arm, trajectories=1, duration=4.0, seed=1)
+    assert not inspect_recording(log, arm).doubts
 
 
 @pytest.mark.parametrize("part", [0.15, *studied(0.08)])
@@ -201,7 +196,7 @@ def test_a_spring_that_the_file_lacks_is_no_other_unit(part):
     arm, joint = robot("coman_like"), 3
     stiffness = part * joint_scales(arm)[joint].torque
     cable = Spring((joint,), {"stiffness": stiffness, "preload": -0.2 * stiffness})
-    x = healthy(real("coman_like"), effects=[cable], nominal=arm, seed=3)
+    x = healthy(real("coman_like"), effects=[cable], nominal=arm, seed=3, duration=5.0)
     assert check_recordings([x], arm) == [x]
 
 
@@ -222,7 +217,7 @@ def test_a_current_in_place_of_torque_is_told_with_the_constants_it_asks_for(
 
 
 @pytest.mark.parametrize("kind", HEALTHY)
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", [*ARMS[:2], *studied(ARMS[2])])
 def test_a_log_that_is_right_passes_without_a_word(name, kind):
     arm, x = HEALTHY[kind](robot(name), right(name))
     with warnings.catch_warnings():
@@ -248,7 +243,7 @@ FAULTY += [
 @pytest.mark.parametrize(("name", "fault"), FAULTY)
 def test_a_fault_of_the_arm_is_no_fault_of_the_log(name, fault):
     effect = FAULTS[fault](robot(name))
-    x = healthy(robot(name), effects=[effect], seed=5, duration=5.0)
+    x = healthy(robot(name), effects=[effect], seed=5, duration=4.0)
     assert [d.line for d in inspect_recording(x, robot(name)).doubts] == []
 
 
@@ -258,16 +253,16 @@ def test_torque_asked_of_a_drive_that_cannot_give_it_has_its_sign(name):
 
     With the other sign that would be a spring, but a stronger one than any drive.
     """
-    x = healthy(robot(name), seed=5)
+    x = right(name)
     tau, away = x.tau.copy(), x.q[:, 1] - x.q[:, 1].mean()
     tau[:, 1] -= 100.0 * robot(name).tau_max[1] * away / np.abs(away).max()
     doubts = inspect_recording(replace(x, tau=tau), robot(name)).doubts
     assert not any("other way round" in d.line for d in doubts)
 
 
-@pytest.mark.parametrize("name", ["ur5", "coman_like"])
+@pytest.mark.parametrize("name", [ARMS[1], *studied(ARMS[2])])
 def test_small_motion_is_no_fault_of_the_log(name):
-    x = healthy(robot(name), seed=5, fill=0.08)
+    x = healthy(robot(name), seed=5, fill=0.08, duration=5.0)
     assert inspect_recording(x, robot(name)).doubts == ()
 
 
@@ -297,6 +292,13 @@ def model() -> DynamicModel:
         return identify(arm, logs, stages=("rigid",)).model
 
 
+@cache
+def holed():
+    """A log, and its rows about a gap."""
+    x = healthy(robot("scara"), seed=4, duration=6.0)
+    return x, np.r_[0:1400, 1600 : len(x.t)]
+
+
 VERBS = {
     "identify": lambda arm, x: identify(arm, [x], stages=("rigid",)),
     "validate": lambda arm, x: validate(model(), [x]),
@@ -320,15 +322,13 @@ def test_every_verb_refuses_the_same_log_for_the_same_reason(verb):
     ],
 )
 def test_every_verb_splits_a_log_at_its_gaps(verb):
-    x = healthy(robot("scara"), seed=4, duration=6.0)
-    holed = gapless(x, np.r_[0:1400, 1600 : len(x.t)])
     with pytest.warns(HybridWarning, match="taken as 2 recordings"):
-        VERBS[verb](robot("scara"), holed)
+        VERBS[verb](robot("scara"), gapless(*holed()))
 
 
 def test_what_is_predicted_of_a_log_with_a_gap_has_a_row_for_each_sample():
-    x = replace(healthy(robot("scara"), seed=4, duration=6.0), v=None)
-    keep = np.r_[0:1400, 1600 : len(x.t)]
+    x, keep = holed()
+    x = replace(x, v=None)
     with pytest.warns(HybridWarning, match="taken as 2 recordings"):
         tau = predict(model(), gapless(x, keep))
     whole = predict(model(), x)
@@ -348,11 +348,9 @@ def test_the_command_line_refuses_a_wrong_log_in_one_line(tmp_path, capsys):
 
 
 def test_a_doubt_says_what_where_and_what_is_valid():
-    (doubt, *_) = inspect_recording(
-        wrong("ur5", "torques swapped"), robot("ur5")
-    ).doubts
+    doubt = found("scara", "torques swapped")[0]
     assert isinstance(doubt, Doubt)
-    assert (doubt.channel, doubt.joints, doubt.severity) == ("tau", (4, 5), "error")
+    assert (doubt.channel, doubt.joints, doubt.severity) == ("tau", (0, 1), "error")
     assert doubt.evidence > 3
-    assert doubt.line.startswith("tau5 (wrist_2_joint) and tau6 (wrist_3_joint) look")
+    assert doubt.line.startswith("tau1 (shoulder) and tau2 (elbow) look")
     assert "; valid are" in doubt.line

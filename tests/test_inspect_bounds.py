@@ -350,9 +350,8 @@ def sped(*factors, size=1.0):
     """Doubts about speeds that are some factors of those of their positions."""
     t, w = 0.01 * np.arange(800)[:, None], 2.0 + np.arange(len(factors))
     q, v = size * np.sin(w * t), size * w * np.cos(w * t)
-    nothing = np.full(len(factors), np.nan)
     logged = v * np.array(factors)
-    state = State(q, v, 0 * q, 0 * q, logged, nothing, nothing)
+    state = State(q, v, 0 * q, 0 * q, logged)
     log = Recording(t[:, 0], q, v=logged, joints=("a", "b", "c")[: len(factors)])
     return [(d.severity, d.text) for d in doubts_of_speeds(log, None, state)]
 
@@ -407,8 +406,7 @@ def test_a_speed_follows_its_position_if_half_of_it_correlates(hum, says):
     noise = np.random.default_rng(0).normal(size=v.shape)
     noise -= v * (v * noise).sum() / (v * v).sum()
     logged = v + hum * noise * np.sqrt((v * v).sum() / (noise * noise).sum())
-    none = np.full(1, np.nan)
-    state = State(q, v, 0 * q, 0 * q, logged, none, none)
+    state = State(q, v, 0 * q, 0 * q, logged)
     log = Recording(t[:, 0], q, v=logged, joints=("a",))
     said = [d.text for d in doubts_of_speeds(log, None, state)]
     assert len(said) == (says is not None) and all(says in x for x in said)
@@ -462,7 +460,7 @@ def test_a_state_is_three_hundred_samples_between_the_edges_of_the_filter(
     edge = min(samples // 10, int(1.5 * 500.0 / cutoff) + 4)
     count = min(300, samples - 2 * edge)
     kept = np.unique(np.linspace(edge, samples - 1 - edge, count).astype(int))
-    found = filtered_state(log, None)
+    found = filtered_state(log)
     np.testing.assert_allclose(found.q[:, 0], kept, atol=1e-6)
     np.testing.assert_allclose(found.v[:, 0], 250.0 / unit, rtol=1e-6)
     smooth = butterworth(q, rate=500.0, cutoff=2 * cutoff)
@@ -479,8 +477,7 @@ def test_a_lag_is_sought_up_to_half_a_second(late, found):
         0.01 * np.arange(600), q[:, None], command=command[:, None], joints=("a",)
     )
     v = np.gradient(q)[:, None]
-    none = np.full(1, np.nan)
-    (joint,) = coverage_of(log, State(q[:, None], v, v, v, None, none, none))
+    (joint,) = coverage_of(log, State(q[:, None], v, v, v))
     assert (joint.lag == pytest.approx(0.01 * late)) == found
 
 

@@ -344,10 +344,10 @@ def test_a_slide_in_millimetres_is_told():
 # --- motion ---------------------------------------------------------------------------
 
 
-def state_of(q, v, a=None, tau=None, logged=None, n=2) -> State:
+def state_of(q, v, a=None, tau=None, logged=None) -> State:
     none = np.zeros_like(q)
     a, tau = (none if x is None else x for x in (a, tau))
-    return State(q, v, a, tau, logged, np.full(n, np.nan), np.full(n, np.inf))
+    return State(q, v, a, tau, logged)
 
 
 def test_a_joint_without_a_limit_may_move_at_fifty():
@@ -392,8 +392,7 @@ def asked(arm, factor=1.0, more=0.0) -> State:
     )
     tau = inverse_dynamics(arm.chain, arm.chain.inertial, q, v, a)
     tau += arm.chain.armature * a
-    nan = np.full(arm.size, np.nan)
-    return State(q, v, a, factor * tau + more, None, nan, arm.tau_max)
+    return State(q, v, a, factor * tau + more)
 
 
 def test_a_scale_is_that_of_the_links_beside_friction_and_an_offset():
@@ -506,10 +505,11 @@ def test_what_masses_leave_of_a_torque_is_that_of_weighted_least_squares(rounds)
     state = asked(arm)
     rng = np.random.default_rng(4)
     tau = state.tau + rng.normal(size=state.tau.shape) * [2.0, 0.4] + [3.0, -0.5]
-    state = replace(state, tau=tau, relaxed=np.array([np.nan, 0.3]))
+    state = replace(state, tau=tau)
+    spring = {"stiffness": np.array([0.0, 1.0]), "springref": np.array([0.7, 0.3])}
     masses = unit_masses(arm.chain)
     Y = regressor(arm.chain, state.q, state.v, state.a)  # (M, n, 10n)
-    fit = MassColumns(state, masses, Y)
+    fit = MassColumns(replace(arm, **spring), state, masses, Y)
     order, factor = np.array([0, 1]), np.array([1.0, 2.0])
     found = fit.residual(order, factor, rounds=rounds)
     M = len(state.q)
@@ -554,8 +554,9 @@ def test_a_spring_is_no_stronger_than_its_drive():
     travel = np.abs(rest.q - rest.q.mean()).max()
     left = []
     for most in (6.0, 2.5):
-        state = replace(rest, tau=tau, rated=np.array([most * travel]))
-        fit = MassColumns(state, np.zeros((1, 10, 7)), Y)
+        state, rated = replace(rest, tau=tau), np.array([most * travel])
+        arm = replace(arm, tau_max=rated)
+        fit = MassColumns(arm, state, np.zeros((1, 10, 7)), Y)
         left.append(fit.residual(np.array([0]), np.ones(1))[0])
         slope = np.polyfit(rest.q[:, 0], fit.explained[:, 0], 1)[0]
         assert slope == pytest.approx(min(most, 5.0), rel=0.15)
@@ -566,7 +567,7 @@ def test_torque_columns_are_told_apart_by_what_each_joint_leaves():
     arm = pendulum(2)
     state = asked(arm)
     Y = regressor(arm.chain, state.q, state.v, state.a)
-    fit = MassColumns(state, unit_masses(arm.chain), Y)
+    fit = MassColumns(arm, state, unit_masses(arm.chain), Y)
     pairs = fit.residual_of_pairs()
     assert np.diagonal(pairs) == pytest.approx(1e-3) and pairs[1, 0] > 0.01
     own, rest = fit._columns[1], state.tau[:, 0]
@@ -609,7 +610,7 @@ def test_links_of_a_file_leave_what_another_law_of_friction_leaves():
     arm = pendulum(2)
     chain, state = arm.chain, asked(arm)
     log = _Readings(
-        chain, state, {"any": unit_masses(chain), "file": chain.inertial[:, :, None]}
+        arm, state, {"any": unit_masses(chain), "file": chain.inertial[:, :, None]}
     )
     for masses, least in (("any", 1e-3), ("file", 3e-3)):
         for rounds in (1, 2):
@@ -631,7 +632,7 @@ def test_another_zero_is_asked_for_only_where_the_files_links_tell_it(links):
     shifts = {}
     for off in (0.0, np.pi / 2):
         logged = replace(state, q=state.q + [0.0, off])
-        every = _others(_Readings(arm.chain, logged, masses), True)
+        every = _others(_Readings(arm, logged, masses), True)
         shifts[off] = [x.shift.tolist() for x in every if np.any(x.shift)]
     assert shifts[0.0] == [] and ([0.0, -np.pi / 2] in shifts[np.pi / 2]) is links
 
@@ -697,10 +698,7 @@ def test_speeds_that_confirm_a_clock_rule_out_another_one():
 def test_identifiable_is_what_differs_from_zero_by_two_standard_errors(noise):
     """Of a pendulum: rotor with inertia, friction, offset, and its weight."""
     (m,) = (with_torque(m, (), noise) for m in swings(1, count=1, seconds=6.0))
-    none = np.full(1, np.nan)
-    found = excitation_of(
-        pendulum().chain, State(m.q, m.v, m.a, m.tau, None, none, none)
-    )
+    found = excitation_of(pendulum().chain, State(m.q, m.v, m.a, m.tau))
     q, v, a = m.q[:, 0], m.v[:, 0], m.a[:, 0]
     columns = {
         "Iyy_1": a, "mx_1": np.cos(q), "mz_1": np.sin(q),
@@ -710,6 +708,7 @@ def test_identifiable_is_what_differs_from_zero_by_two_standard_errors(noise):
     X = np.stack(list(columns.values()), axis=1)
     unit = X / np.linalg.norm(X, axis=0)
     assert found.condition == pytest.approx(np.linalg.cond(unit), rel=1e-6)
+    assert {x.split()[0] for x in found.names} == set(columns)
     theta, left = np.linalg.lstsq(X, m.tau[:, 0], rcond=None)[:2]
     error = np.sqrt(np.diagonal(np.linalg.inv(X.T @ X)) * left / len(X))
     unknown = np.abs(theta) < 1.96 * error
@@ -739,23 +738,18 @@ def test_a_clock_s_jitter_and_gaps_are_those_of_its_steps():
     filled = np.delete(steps, 150)
     assert clock.jitter == pytest.approx(filled.std() / 0.01)
     assert (clock.holes, clock.samples) == (1, 201)
+    assert (clock.duration, clock.rate) == pytest.approx((t[-1], 100.0))
     assert clock.missing == pytest.approx(2 / 201)
     assert all(x < y for x, y in pairwise(t))
 
 
-def test_a_state_knows_springs_and_ratings_of_the_file():
-    arm = replace(
-        pendulum(2), stiffness=np.array([0.0, 3.0]), springref=np.array([0.7, 0.4])
-    )
+def test_a_state_is_the_filtered_log():
     recording = log(v=np.gradient(BOTH, 0.01, axis=0), tau=2.0 * BOTH)
-    found = filtered_state(recording, arm)
-    np.testing.assert_array_equal(found.relaxed, [np.nan, 0.4])
-    np.testing.assert_array_equal(found.rated, arm.tau_max)
+    found = filtered_state(recording)
     assert len(found.q) == 300
     np.testing.assert_allclose(found.tau, 2.0 * found.q, atol=0.02)
     np.testing.assert_allclose(found.logged, found.v, atol=0.05)
-    bare = filtered_state(replace(recording, v=None, tau=np.zeros(0)), None)
-    assert np.isnan(bare.relaxed).all() and np.isinf(bare.rated).all()
+    bare = filtered_state(replace(recording, v=None, tau=np.zeros(0)))
     assert bare.logged is None and not bare.tau.any()
 
 

@@ -55,7 +55,7 @@ def test_signs_are_told_by_what_is_left_and_not_by_its_share(monkeypatch, left, 
     wanted = np.sign(np.sin(20 * RISING))[:, None]
 
     class Fit:
-        def __init__(self, state, masses, Y):
+        def __init__(self, robot, state, masses, Y):
             self.signed, self.size = (state.tau < 0).any(), state.tau.var(axis=0)
             self.explained = wanted
 
@@ -65,7 +65,7 @@ def test_signs_are_told_by_what_is_left_and_not_by_its_share(monkeypatch, left, 
     monkeypatch.setattr(physics, "MassColumns", Fit)
     monkeypatch.setattr(physics, "inverse_dynamics", lambda *_: wanted.copy())
     log = Recording(RISING, 0 * tau, tau=tau)
-    state = State(*[0 * tau] * 3, tau, None, np.full(1, np.nan), np.ones(1))
+    state = State(*[0 * tau] * 3, tau)
     found = list(doubts_of_magnitude(log, pendulum(1), state))
     assert [x.joints for x in found] == [(0,)] * told
 
@@ -132,8 +132,8 @@ class Told:
         self.stated = gains if isinstance(gains, dict) else {"any": gains}
         self.first, self.unseen_gain, self.before = first, unseen, before
         self.masses = dict.fromkeys(self.stated)
-        self.chain = SimpleNamespace(size=2)
-        self.state = SimpleNamespace(q=np.array([[0.0, 0.0], [1.0, 1.0]]))
+        self.robot = None
+        self.state = SimpleNamespace(q=np.array([[0.0, 0.0], [1.0, 1.0]]), later={})
 
     def _move(self, others):
         """Its readings have no motion."""

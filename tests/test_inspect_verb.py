@@ -24,7 +24,7 @@ def arm() -> Robot:
 
 @cache
 def log() -> Recording:
-    return healthy(arm(), nominal=arm(), seed=3)
+    return healthy(arm(), nominal=arm(), seed=3, duration=5.0)
 
 
 def test_a_right_log_has_no_doubts_and_tells_its_motion():

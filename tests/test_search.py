@@ -5,16 +5,21 @@ import pytest
 from search import minimise
 from search.adaptive_genetic import AdaptiveGenetic
 from search.annealed_genetic import AnnealedGenetic
+from search.niche_genetic import NicheGenetic
 from search.particle_swarm import ParticleSwarm
+from search.ranked_genetic import RankedGenetic
 from search.recursive_differential_evolution import (
     RecursiveDifferentialEvolution,
 )
+from search.tabu import Tabu
 
 from hybrid.errors import HybridError
 
 LOWER, UPPER = np.array([-3.0, 0.0, 10.0]), np.array([5.0, 1.0, 90.0])
 OPTIMUM = np.array([1.0, 0.3, 70.0])
 KINDS = (AdaptiveGenetic, AnnealedGenetic, ParticleSwarm)
+GENETIC = (AdaptiveGenetic, AnnealedGenetic, NicheGenetic, RankedGenetic)
+EVERY = (*GENETIC, ParticleSwarm, Tabu)
 
 
 def valley(x):
@@ -28,6 +33,8 @@ def valley(x):
 
 
 def search(kind, seed=0, **options):
+    if kind is Tabu:
+        options = {"start": [-2.0, 0.9, 20.0]}
     return kind(LOWER, UPPER, rng=np.random.default_rng(seed), **options)
 
 
@@ -42,13 +49,14 @@ def test_a_search_finds_the_optimum_among_ripples(kind):
         )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EVERY)
 def test_it_asks_within_the_bounds_and_never_loses_the_best(kind):
     found = search(kind, population=20)
     values, best = [], []
     for _ in range(60):
         x = found.ask()
-        assert x.shape == (20, 3) and np.all(x >= LOWER) and np.all(x <= UPPER)
+        assert np.all(x >= LOWER) and np.all(x <= UPPER)
+        assert len(x) == 20 or kind is Tabu
         values.append(valley(x).min())
         found.tell(valley(x))
         best.append(found.best.value)
@@ -56,7 +64,7 @@ def test_it_asks_within_the_bounds_and_never_loses_the_best(kind):
     assert valley(found.best.point[None])[0] == found.best.value
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EVERY)
 def test_one_seed_gives_one_course(kind):
     courses = [minimise(search(kind, seed), valley, 40) for seed in (1, 1, 2)]
     np.testing.assert_array_equal(courses[0], courses[1])
@@ -238,5 +246,9 @@ def test_values_of_another_number_are_refused():
     found.ask()
     with pytest.raises(HybridError, match=r"valid is \(10,\)"):
         found.tell(np.zeros(9))
-    with pytest.raises(HybridError, match="even number"):
-        search(AdaptiveGenetic, population=7)
+
+
+@pytest.mark.parametrize("kind", GENETIC)
+def test_a_genetic_search_refuses_an_odd_population(kind):
+    with pytest.raises(HybridError, match="an even number from 4"):
+        search(kind, population=7)

@@ -9,53 +9,21 @@ from search.tabu import Tabu
 from hybrid.errors import HybridError
 
 LOW, HIGH = np.full(4, -2.0), np.full(4, 3.0)
-SEARCHES = {
-    "genetic": lambda rng: RankedGenetic(LOW, HIGH, rng=rng, generations=60),
-    "tabu": lambda rng: Tabu(LOW, HIGH, rng=rng, start=[2.0, -1.5, 1.0, 2.5]),
-}
 
 
 def bowl(x):
     return np.linalg.norm(x - [0.5, -0.3, 1.0, 0.1], axis=1)
 
 
-@pytest.mark.parametrize("name", SEARCHES)
-def test_points_stay_within_the_bounds(name):
-    search = SEARCHES[name](np.random.default_rng(0))
-    for _ in range(50):
-        x = search.ask()
-        assert (x >= LOW).all() and (x <= HIGH).all()
-        search.tell(bowl(x))
-
-
-@pytest.mark.parametrize("name", SEARCHES)
-def test_the_same_seed_takes_the_same_way(name):
-    runs = [
-        minimise(SEARCHES[name](np.random.default_rng(3)), bowl, 40) for _ in range(2)
-    ]
-    np.testing.assert_array_equal(*runs)
-
-
-@pytest.mark.parametrize("name", SEARCHES)
-def test_the_best_is_the_least_value_told(name):
-    search = SEARCHES[name](np.random.default_rng(1))
-    told = []
-    for _ in range(30):
-        x = search.ask()
-        told += [*zip(bowl(x), x, strict=True)]
-        search.tell(bowl(x))
-    value, point = min(told, key=lambda pair: pair[0])
-    assert search.best.value == value
-    np.testing.assert_array_equal(search.best.point, point)
-
-
 def test_the_genetic_search_comes_near_the_bottom():
-    search = SEARCHES["genetic"](np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    search = RankedGenetic(LOW, HIGH, rng=rng, generations=60)
     assert minimise(search, bowl, 60)[-1] < 0.2
 
 
 def test_rings_shrink_with_the_value_so_that_tabu_converges():
-    search = SEARCHES["tabu"](np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    search = Tabu(LOW, HIGH, rng=rng, start=[2.0, -1.5, 1.0, 2.5])
     assert minimise(search, bowl, 1500)[-1] < 1e-6
 
 
@@ -115,8 +83,3 @@ def test_tabu_refuses_nonsense(options, message):
     options = {"start": np.zeros(4), **options}
     with pytest.raises(HybridError, match=message):
         Tabu(LOW, HIGH, rng=np.random.default_rng(0), **options)
-
-
-def test_the_genetic_search_refuses_an_odd_population():
-    with pytest.raises(HybridError, match="an even number from 4"):
-        RankedGenetic(LOW, HIGH, rng=np.random.default_rng(0), population=5)

@@ -18,7 +18,7 @@ from hybrid.compensator.gmr_fit import fit_gmr
 Structure = Literal["full", "diagonal", "low_rank"]
 
 _CHUNK_BYTES = 2**21  # of the largest temporary array, so that it stays in the cache
-_PASSES, _FLOOR = 20, 1e-4
+_PASSES, _FLOOR = 20, 1e-4  # of the search; added to every variance
 _LEAST_WEIGHT = 1e-6  # of a component, so that none dies
 
 
@@ -37,40 +37,6 @@ class Mixture:
     covariances: Array
 
 
-def run_em(
-    joint: Array,
-    start: Mixture,
-    *,
-    passes: int,
-    floor: float,
-    structure: Structure = "full",
-    rank: int = 2,
-    device: str | None = None,
-) -> Mixture:
-    """Passes of expectation maximisation over all samples.
-
-    Args:
-        joint: Standardised variables, shape (N, D).
-        start: Mixture to start from.
-        passes: Number of passes.
-        floor: Added to every variance.
-        structure: What covariances may be: ``full``, ``diagonal``, or ``low_rank``:
-            some directions and one variance for all others.
-        rank: Number of directions.
-        device: A torch device; by default a GPU if there is one.
-    """
-    import torch
-
-    if device is None:
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    data = torch.from_numpy(np.ascontiguousarray(joint)).to(device)
-    mixture = start
-    for _ in range(passes):
-        sums = _sums(data, mixture)
-        mixture = _maximised(*sums, floor=floor, structure=structure, rank=rank)
-    return mixture
-
-
 def fit_structured(
     x: Array, y: Array, *, structure: Structure, rank: int = 2, **options: Any
 ) -> GaussianMixtureRegression:
@@ -79,39 +45,29 @@ def fit_structured(
     Args:
         x: Inputs, shape (N, d).
         y: Torque that is left, shape (N, m), [N·m].
-        structure: What covariances may be.
-        rank: Number of directions of a low rank.
+        structure: What covariances may be: ``full``, ``diagonal``, or ``low_rank``:
+            some directions and one variance for all others.
+        rank: Number of directions.
         **options: As for :func:`fit_gmr`.
     """
+    import torch
+
     free = fit_gmr(x, y, **options)
     size = np.sqrt(free.prior_variance)
     scale = np.concatenate([np.ones(free.inputs), size])
     joint = np.hstack([(x - free.input_offset) / free.input_scale, y / size])
     area = np.outer(scale, scale)
-    start = Mixture(free.weights, free.means / scale, free.covariances / area)
-    found = run_em(
-        joint, start, passes=_PASSES, floor=_FLOOR, structure=structure, rank=rank
-    )
+    found = Mixture(free.weights, free.means / scale, free.covariances / area)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    data = torch.from_numpy(np.ascontiguousarray(joint)).to(device)
+    for _ in range(_PASSES):
+        found = _maximised(*_sums(data, found), structure, rank)
     return replace(
         free,
         weights=found.weights,
         means=found.means * scale,
         covariances=found.covariances * area,
     )
-
-
-def log_likelihood(joint: Array, mixture: Mixture) -> float:
-    """Log-likelihood of all samples, shape (N, D), under a mixture, [nat]."""
-    from scipy.special import logsumexp
-
-    size = joint.shape[1]
-    factor = np.linalg.cholesky(mixture.covariances)
-    terms = []
-    for weight, mean, L in zip(mixture.weights, mixture.means, factor, strict=True):
-        w = np.linalg.solve(L, (joint - mean).T)
-        volume = np.log(np.diagonal(L)).sum() + 0.5 * size * np.log(2.0 * np.pi)
-        terms.append(np.log(weight) - volume - 0.5 * (w * w).sum(axis=0))
-    return float(logsumexp(terms, axis=0).sum())
 
 
 def _sums(data: Any, mixture: Mixture) -> tuple[Array, Array, Array]:
@@ -143,19 +99,13 @@ def _sums(data: Any, mixture: Mixture) -> tuple[Array, Array, Array]:
 
 
 def _maximised(
-    n: Array,
-    first: Array,
-    second: Array,
-    *,
-    floor: float,
-    structure: Structure,
-    rank: int,
+    n: Array, first: Array, second: Array, structure: Structure, rank: int
 ) -> Mixture:
     n = np.maximum(n, _LEAST_WEIGHT * n.sum())
     means = first / n[:, None]
     covariances = second / n[:, None, None] - means[:, :, None] * means[:, None, :]
     covariances = structured(covariances, structure, rank)
-    covariances += floor * np.eye(means.shape[1])
+    covariances += _FLOOR * np.eye(means.shape[1])
     return Mixture(n / n.sum(), means, covariances)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Self
 
@@ -12,7 +11,6 @@ from numpy.typing import ArrayLike
 from hybrid.arrays import Array
 from hybrid.compensator.gmr import FARTHEST, check_matrix
 from hybrid.compensator.gmr_fit import fit_gmr
-from hybrid.errors import HybridError, ModelFileError
 
 LOG_VARIANCE = (-14.0, 6.0)  # range of a network's log variance, standardised
 _COMPONENTS = 4
@@ -109,28 +107,3 @@ class Envelope:
     def arrays(self) -> dict[str, Array]:
         """Every array, by ``envelope.<name>``."""
         return {f"envelope.{f.name}": getattr(self, f.name) for f in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
-        """The inverse of :meth:`arrays`, which ignores other arrays.
-
-        Raises:
-            ModelFileError: An array is missing or not valid.
-        """
-        try:
-            own = {
-                f.name: np.asarray(arrays[f"envelope.{f.name}"], float)
-                for f in fields(cls)
-            }
-            found = cls(**own)
-            d, m, k = found.offset.size, found.bound.size, len(found.centre)
-            shapes = ((d,), (d,), (k, d, d), (k, d), (m,), (m,), (2,))
-            for f, shape in zip(fields(cls), shapes, strict=True):
-                values = own[f.name]
-                if values.shape != shape or not np.isfinite(values).all():
-                    raise HybridError(f"{f.name} has shape {values.shape}")
-            if not (found.scale > 0).all() or not 0 < found.fade[0] < found.fade[1]:
-                raise HybridError("scale or fade is not positive")
-        except (KeyError, ValueError, TypeError, HybridError) as error:
-            raise ModelFileError(f"envelope is damaged: {error}") from error
-        return found

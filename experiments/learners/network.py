@@ -9,16 +9,14 @@ Bai, Kolter and Koltun 2018, arXiv 1803.01271 (temporal convolutions).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator.gmr_fit import check_pair, draw
-from hybrid.errors import HybridError, ModelFileError
+from hybrid.errors import HybridError
 from hybrid.extras import check_extra
 from learners.envelope import LOG_VARIANCE, Envelope
 
@@ -37,8 +35,6 @@ class NetworkRegression:
             samples, shape (group · width in, width out) and (width out,).
         scale: Size of the outputs, shape (m,), [N·m].
     """
-
-    kind: ClassVar[str] = "network"
 
     envelope: Envelope
     history: int
@@ -127,37 +123,11 @@ class NetworkRegression:
         return out
 
     def arrays(self) -> dict[str, Array]:
-        """Everything to save, by name."""
+        """All that was learned, by name."""
         found = self.envelope.arrays() | {"scale": self.scale}
         found["history"] = np.array([float(self.history)])
         for k, (weight, bias) in enumerate(self.layers):
             found |= {f"weight.{k}": weight, f"bias.{k}": bias}
-        return found
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
-        """The inverse of :meth:`arrays`.
-
-        Raises:
-            ModelFileError: An array is missing or not valid.
-        """
-        envelope = Envelope.from_arrays(arrays)
-        try:
-            count = sum(name.startswith("weight.") for name in arrays)
-            layers = tuple(
-                (
-                    np.asarray(arrays[f"weight.{k}"], float),
-                    np.asarray(arrays[f"bias.{k}"], float),
-                )
-                for k in range(count)
-            )
-            history = int(np.asarray(arrays["history"])[0])
-            found = cls(envelope, history, layers, np.asarray(arrays["scale"], float))
-            tried = found.predict_distribution(envelope.offset[None])
-            if not np.isfinite(tried).all() or tried[0].shape[1] != envelope.bound.size:
-                raise ValueError("its output is not a torque")
-        except (KeyError, ValueError, TypeError, IndexError, HybridError) as error:
-            raise ModelFileError(f"network is damaged: {error}") from error
         return found
 
 

@@ -6,16 +6,13 @@ machines); evidence after MacKay 1992, doi 10.1162/neco.1992.4.3.415.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.compensator.gmr_fit import check_pair, draw
-from hybrid.errors import ModelFileError
 from learners.envelope import Envelope
 
 _LENGTHS = (0.3, 0.6, 1.2, 2.5)  # training deviations
@@ -35,8 +32,6 @@ class RandomFeatureRegression:
         factor: Square root of the weights' covariance, over that of the noise, (P, P).
         noise: Variance of the noise, shape (m,), [(N·m)²].
     """
-
-    kind: ClassVar[str] = "random_features"
 
     envelope: Envelope
     directions: Array
@@ -124,32 +119,9 @@ class RandomFeatureRegression:
         return mean, variance
 
     def arrays(self) -> dict[str, Array]:
-        """Everything to save, by name."""
+        """All that was learned, by name."""
         names = ("directions", "phases", "weights", "factor", "noise")
         return self.envelope.arrays() | {name: getattr(self, name) for name in names}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
-        """The inverse of :meth:`arrays`.
-
-        Raises:
-            ModelFileError: An array is missing or not valid.
-        """
-        envelope = Envelope.from_arrays(arrays)
-        d, m = envelope.offset.size, envelope.bound.size
-        try:
-            p = np.size(arrays["phases"])
-            shapes = {"directions": (d, p), "phases": (p,), "weights": (p, m)}
-            shapes |= {"factor": (p, p), "noise": (m,)}
-            own = {name: np.asarray(arrays[name], float) for name in shapes}
-            if any(
-                own[name].shape != shape or not np.isfinite(own[name]).all()
-                for name, shape in shapes.items()
-            ):
-                raise ValueError("an array has another shape or is not finite")
-        except (KeyError, ValueError, TypeError) as error:
-            raise ModelFileError(f"random features are damaged: {error}") from error
-        return cls(envelope, **own)
 
 
 def _features(z: Array, directions: Array, phases: Array) -> Array:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
-from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.gmr import check_matrix
 from hybrid.compensator.gmr_fit import check_pair
-from hybrid.errors import HybridError, ModelFileError
+from hybrid.errors import HybridError
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +26,6 @@ class SymmetricRegression:
         signs: The sign s of each input, shape (d,).
         parity: −1 or 1.
     """
-
-    kind: ClassVar[str] = "symmetric"
 
     inner: Any
     signs: Array
@@ -91,38 +88,8 @@ class SymmetricRegression:
         return 0.5 * (mean + self.parity * mirrored), 0.5 * (variance + spread)
 
     def arrays(self) -> dict[str, Array]:
-        """Everything to save, by name."""
-        inner = {f"{self.inner.kind}:{k}": x for k, x in self.inner.arrays().items()}
-        return inner | {"signs": self.signs, "parity": np.array([self.parity])}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
-        """The inverse of :meth:`arrays`.
-
-        Raises:
-            ModelFileError: An array is missing or not valid.
-        """
-        from learners.network import NetworkRegression
-        from learners.random_features import RandomFeatureRegression
-
-        kinds_inside = (
-            GaussianMixtureRegression,
-            RandomFeatureRegression,
-            NetworkRegression,
-        )
-        inside = {cls.kind: cls for cls in kinds_inside}
-
-        kinds = {name.partition(":")[0] for name in arrays if ":" in name}
-        known = kinds & inside.keys()
-        if len(kinds) != 1 or not known:
-            raise ModelFileError(f"symmetric remainder of unknown kind {sorted(kinds)}")
-        (kind,) = known
-        own = {k.partition(":")[2]: x for k, x in arrays.items() if ":" in k}
-        try:
-            inner = inside[kind].from_arrays(own)
-            parity = float(np.asarray(arrays["parity"]).item())
-            return cls(inner, np.asarray(arrays["signs"], float), parity)
-        except ModelFileError:
-            raise
-        except (KeyError, ValueError, TypeError, HybridError) as error:
-            raise ModelFileError(f"symmetry is damaged: {error}") from error
+        """All that was learned, by name."""
+        return self.inner.arrays() | {
+            "signs": self.signs,
+            "parity": np.array([self.parity]),
+        }

@@ -1,7 +1,6 @@
 """A real-coded genetic algorithm whose rates depend on how fit an individual is.
 
-Source: Srinivas and Patnaik 1994, doi 10.1109/21.286385 (adaptive rates); Michalewicz
-1996, doi 10.1007/978-3-662-03315-9 (arithmetic crossover, shrinking mutation).
+Source: Srinivas and Patnaik 1994, doi 10.1109/21.286385 (adaptive rates).
 """
 
 from __future__ import annotations
@@ -11,8 +10,6 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from search.genetic import Genetic
-
-_SHRINKING = 2.0  # exponent with which mutations shrink over the generations
 
 
 class AdaptiveGenetic(Genetic):
@@ -54,14 +51,9 @@ class AdaptiveGenetic(Genetic):
         rng, size = self._rng, self.population
         fitness = self._fitness()
         parents = rng.choice(size, size=size, p=fitness / fitness.sum())
-        x, fit = self._x[parents], fitness[parents]
-        first, second = x[0::2], x[1::2]
+        fit = fitness[parents]
         rate = self._rate(np.maximum(fit[0::2], fit[1::2]), fitness, self._crossover)
-        crossed = rng.random(size // 2) < rate
-        share = np.where(crossed, rng.random(size // 2), 1.0)[:, None]
-        x = np.concatenate(
-            [share * first + (1 - share) * second, share * second + (1 - share) * first]
-        )
+        x = self._crossed(self._x[parents], rate)
         fit = np.concatenate([fit[0::2], fit[1::2]])
         mutated = (
             rng.random(x.shape) < self._rate(fit, fitness, self._mutation)[:, None]
@@ -82,10 +74,3 @@ class AdaptiveGenetic(Genetic):
         mean, top = fitness.mean(), fitness.max()
         above = np.clip((fit - mean) / max(top - mean, 1e-300), 0.0, 1.0)
         return np.asarray(rates[0] - (rates[0] - rates[1]) * above)
-
-    def _mutate(self, x: Array) -> Array:
-        """Steps towards a random bound that shrink with the generations."""
-        rng, left = self._rng, max(0.0, 1.0 - self.generation / self.generations)
-        step = 1.0 - rng.random(x.shape) ** (left**_SHRINKING)
-        target = np.where(rng.random(x.shape) < 0.5, self.lower, self.upper)
-        return np.asarray(x + step * (target - x))

@@ -11,6 +11,8 @@ from hybrid.arrays import Array
 from hybrid.errors import HybridError
 from search.search import Best, checked_bounds, checked_values
 
+_SHRINKING = 2.0  # exponent with which mutations shrink over the generations
+
 
 class Genetic(ABC):
     """A population that its offspring replace, with the best kept (elitism).
@@ -21,6 +23,9 @@ class Genetic(ABC):
         rng: Source of every random choice.
         population: Individuals P, an even number.
         generations: Generations of the schedule.
+
+    Source: Michalewicz 1996, doi 10.1007/978-3-662-03315-9 (arithmetic crossover,
+    shrinking mutation).
 
     Raises:
         HybridError: An argument is out of range.
@@ -33,7 +38,7 @@ class Genetic(ABC):
         *,
         rng: np.random.Generator,
         population: int,
-        generations: int,
+        generations: int = 1,
     ) -> None:
         if population < 4 or population % 2 or generations < 1:
             raise HybridError(
@@ -64,14 +69,36 @@ class Genetic(ABC):
         self._take_over(self._asked, checked_values(values, self.population))
         self.generation += 1
 
-    def _take_over(self, x: Array, values: Array) -> None:
-        self._x, self._values = x.copy(), values.copy()
+    def _note_best(self, x: Array, values: Array) -> None:
         k = int(np.argmin(values))
         if values[k] < self._best.value:
             self._best = Best(x[k].copy(), float(values[k]))
+
+    def _take_over(self, x: Array, values: Array) -> None:
+        self._x, self._values = x.copy(), values.copy()
+        self._note_best(x, values)
         worst = int(np.argmax(values))
         self._x[worst], self._values[worst] = self._best.point, self._best.value
 
     @abstractmethod
     def _offspring(self) -> Array:
         """The next population, shape (P, d)."""
+
+    def _crossed(self, parents: Array, rate: float | Array) -> Array:
+        """Children of pairs of parents that are crossed at a rate (arithmetic).
+
+        Those of the first parents stand before those of the second, shape (P, d).
+        """
+        first, second = parents[0::2], parents[1::2]
+        crossed = self._rng.random(len(first)) < rate
+        share = np.where(crossed, self._rng.random(len(first)), 1.0)[:, None]
+        return np.concatenate(
+            [share * first + (1 - share) * second, share * second + (1 - share) * first]
+        )
+
+    def _mutate(self, x: Array) -> Array:
+        """Steps towards a random bound that shrink with the generations."""
+        left = max(0.0, 1.0 - self.generation / self.generations)
+        step = 1.0 - self._rng.random(x.shape) ** left**_SHRINKING
+        target = np.where(self._rng.random(x.shape) < 0.5, self.lower, self.upper)
+        return np.asarray(x + step * (target - x))

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from hybrid.errors import HybridError
-from search.search import Best, checked_bounds, checked_values
+from search.genetic import Genetic
+from search.search import checked_values
 
 
-class NicheGenetic:
+class NicheGenetic(Genetic):
     """Roulette, arithmetic crossover, uniform mutation and crowding niches.
 
     After every generation the offspring compete with the better half of their parents.
@@ -47,40 +48,17 @@ class NicheGenetic:
         mutation: float = 0.1,
         niche: float = 0.02,
     ) -> None:
-        rates_fit = 0 <= crossover <= 1 and 0 <= mutation <= 1 and niche >= 0
-        if population < 4 or population % 2 or not rates_fit:
-            raise HybridError(
-                "an even population from 4, rates from 0 to 1 and a niche from 0 are "
-                "valid"
-            )
-        self.lower, self.upper = checked_bounds(lower, upper)
-        self.population = population
+        super().__init__(lower, upper, rng=rng, population=population)
+        if not (0 <= crossover <= 1 and 0 <= mutation <= 1 and niche >= 0):
+            raise HybridError("rates from 0 to 1 and a niche from 0 are valid")
         self._crossover, self._mutation, self._niche = crossover, mutation, niche
-        self._rng = rng
-        self._x = rng.uniform(self.lower, self.upper, (population, len(self.lower)))
-        self._values = np.full(population, np.inf)
-        self._asked = self._x
-        self._first = True
-        self._best = Best(self._x[0], np.inf)
-
-    @property
-    def best(self) -> Best:
-        """The best point of all that were told."""
-        return self._best
-
-    def ask(self) -> Array:
-        """The first population, then the offspring of each, shape (P, d)."""
-        self._asked = self._x if self._first else self._offspring()
-        return self._asked.copy()
 
     def tell(self, values: Array) -> None:
         """Let the offspring compete with the better half of their parents."""
         told = checked_values(values, self.population)
-        k = int(np.argmin(told))
-        if told[k] < self._best.value:
-            self._best = Best(self._asked[k].copy(), float(told[k]))
-        if self._first:
-            self._first = False
+        self._note_best(self._asked, told)
+        self.generation += 1
+        if self.generation == 1:
             self._values = told.copy()
             return
         elite = np.argsort(self._values, kind="stable")[: self.population // 2]
@@ -104,13 +82,7 @@ class NicheGenetic:
     def _offspring(self) -> Array:
         rng, size = self._rng, self.population
         chosen = rng.choice(size, size=size, p=self._chances())
-        parents = self._x[chosen]
-        first, second = parents[0::2], parents[1::2]
-        crossed = rng.random((size // 2, 1)) < self._crossover
-        share = np.where(crossed, rng.random((size // 2, 1)), 1.0)
-        x = np.concatenate(
-            [share * first + (1 - share) * second, share * second + (1 - share) * first]
-        )
+        x = self._crossed(self._x[chosen], self._crossover)
         drawn = rng.uniform(self.lower, self.upper, x.shape)
         return np.where(rng.random(x.shape) < self._mutation, drawn, x)
 

@@ -1,9 +1,8 @@
 """A real-coded genetic algorithm whose pressure and rates follow a schedule.
 
 Over the generations i of G selection sharpens, from picking at random to picking the
-fit, while crossover fades and mutation grows rare and small. Sources: Baker 1985
-(linear ranking; Proc. 1st Int. Conf. Genetic Algorithms, p. 101); Michalewicz 1996,
-doi 10.1007/978-3-662-03315-9 (arithmetic crossover, shrinking mutation).
+fit, while crossover fades and mutation grows rare and small. Source: Baker 1985
+(linear ranking; Proc. 1st Int. Conf. Genetic Algorithms, p. 101).
 """
 
 from __future__ import annotations
@@ -13,8 +12,6 @@ from numpy.typing import ArrayLike
 
 from hybrid.arrays import Array
 from search.genetic import Genetic
-
-_SHRINKING = 2.0  # exponent with which mutations shrink over the generations
 
 
 class RankedGenetic(Genetic):
@@ -56,17 +53,10 @@ class RankedGenetic(Genetic):
         rng, size = self._rng, self.population
         done = min(1.0, self.generation / self.generations)
         parents = rng.choice(size, size=size, p=self._chances(1.0 + done))
-        first, second = self._x[parents[0::2]], self._x[parents[1::2]]
-        crossed = rng.random(size // 2) < self._crossover * (1.0 - done) ** 2
-        share = np.where(crossed, rng.random(size // 2), 1.0)[:, None]
-        x = np.concatenate(
-            [share * first + (1 - share) * second, share * second + (1 - share) * first]
-        )
+        x = self._crossed(self._x[parents], self._crossover * (1.0 - done) ** 2)
         rate = self._mutation[0] + (self._mutation[1] - self._mutation[0]) * done
-        step = 1.0 - rng.random(x.shape) ** ((1.0 - done) ** _SHRINKING)
-        target = np.where(rng.random(x.shape) < 0.5, self.lower, self.upper)
-        mutated = rng.random(x.shape) < rate
-        return np.where(mutated, x + step * (target - x), x)
+        mutants, mutated = self._mutate(x), rng.random(x.shape) < rate
+        return np.where(mutated, mutants, x)
 
     def _chances(self, pressure: float) -> Array:
         """Linear in the rank: ``pressure`` times the mean for the fittest."""

@@ -148,20 +148,19 @@ def changes(
         if alarm is None:
             return
         # All data describe the change best, unless it has been reversed since.
-        found = max(
-            (
-                _change(
-                    t[start:end], y[start:end], s[start:end],
-                    None if x is None else x[start:end], float(t[alarm]),
-                )
-                for end in (len(t), alarm + 1)
-            ),
-            key=lambda change: abs(change.score),
-        )  # fmt: skip
+        parts = slice(start, len(t)), slice(start, alarm + 1)
+        each = [_change(*_part(t, y, s, x, k), float(t[alarm])) for k in parts]
+        found = max(each, key=lambda change: abs(change.score))
         yield found
         if found.kind == "trend":
             return
         start = int(np.searchsorted(t, found.day))
+
+
+def _part(
+    t: Array, y: Array, s: Array, x: Array | None, part: slice
+) -> tuple[Array, Array, Array, Array | None]:
+    return t[part], y[part], s[part], None if x is None else x[part]
 
 
 def _change(t: Array, y: Array, s: Array, x: Array | None, alarm: float) -> Change:
@@ -181,8 +180,7 @@ def _first_alarm(
     t: Array, y: Array, s: Array, limit: float, x: Array | None, start: int
 ) -> int | None:
     for n in range(start + _FEWEST, len(t) + 1):
-        here = slice(max(start, n - _LOOK_BACK), n)
-        z, _ = _scores(t[here], y[here], s[here], None if x is None else x[here])
+        z, _ = _scores(*_part(t, y, s, x, slice(max(start, n - _LOOK_BACK), n)))
         if np.abs(z).max() > limit:
             return n - 1
     return None

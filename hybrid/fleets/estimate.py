@@ -15,7 +15,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hybrid.arrays import Array
-from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.payload import Payload
 from hybrid.effects.registry import effect_class
@@ -207,7 +206,10 @@ def _filtered_rows(
     for effect, _ in effects:
         wide = np.zeros((len(motion.t), n, len(effect.gains)))
         joints = list(effect.reaches(n))
-        wide[:, joints] = _columns(effect, motion, body, expected)
+        if effect.reports and effect.actuator:  # a gain of the whole torque
+            wide[:, joints] = expected[:, joints, None]
+        else:
+            wide[:, joints] = effect.columns(motion, body)
         columns.append(wide)
     whole = np.concatenate([*columns, expected[:, :, None]], axis=2)
     sampler = data.sampler(motion.rate)
@@ -215,13 +217,6 @@ def _filtered_rows(
     out[:, :, -1] = data.logged(motion) - out[:, :, -1]
     out[~data.moves(motion)[:: sampler.factor]] = np.nan
     return np.asarray(out)
-
-
-def _columns(effect: Effect, motion: Motion, body: RigidBody, expected: Array) -> Array:
-    """Columns of a change; a torque gain scales the whole predicted torque."""
-    if effect.reports and effect.actuator:
-        return np.asarray(expected[:, list(effect.joints)][:, :, None])
-    return effect.columns(motion, body)
 
 
 def _posterior(parts: Sequence[Array], prior: Array) -> tuple[Array, Array, Array]:
@@ -258,7 +253,6 @@ def _noise_weights(left: Array) -> tuple[Array, Array]:
         moves = np.flatnonzero(np.isfinite(own))
         if len(moves):
             power[j] = np.mean(own[moves] ** 2)
-            weight[j] = 1.0 / max(
-                power[j] * autocorrelation_time(own[moves], moves), 1e-300
-            )
+            lasts = autocorrelation_time(own[moves], moves)
+            weight[j] = 1.0 / max(power[j] * lasts, 1e-300)
     return power, weight

@@ -31,7 +31,6 @@ _RANK = 1e-9  # of the largest column or singular value: what is below is roundi
 _BLIND = 0.01  # share of a parameter in directions without torque
 _LONGEST_LAG = 0.5  # s, of a servo behind its command
 _EARLY = 0.02  # s, by which a position clearly precedes its command
-_MOST_ROWS = 100_000  # of a log that are compared at each lag
 
 
 @dataclass(frozen=True)
@@ -170,12 +169,19 @@ def _base_columns(chain: Chain, state: State) -> tuple[tuple[str, ...], Array]:
 
 def _lag(command: Array, q: Array, most: int) -> int:
     """The lag within ``most`` samples that minimises Var(q_k − command_{k−lag})."""
+    from scipy.signal import correlate
+
     samples = len(q)
-    step, most = 1 + samples // _MOST_ROWS, min(most, samples // 2)
+    most = max(1, min(most, samples // 2))
+    lags = np.array(sorted(range(1 - most, most), key=abs))
+    late, early = np.maximum(lags, 0), np.maximum(-lags, 0)
 
-    def spread(lag: int) -> float:
-        late, early = max(lag, 0), max(-lag, 0)
-        apart = q[late : samples - early] - command[early : samples - late]
-        return float(np.var(apart[::step]))
+    def overlap(x: Array, first: Array, behind: Array) -> Array:
+        sums = np.append(0.0, np.cumsum(x))
+        return np.asarray(sums[samples - behind] - sums[first])
 
-    return min(sorted(range(1 - most, most), key=abs), key=spread, default=0)
+    q, command, count = q - q.mean(), command - command.mean(), samples - np.abs(lags)
+    mean = (overlap(q, late, early) - overlap(command, early, late)) / count
+    squares = overlap(q**2, late, early) + overlap(command**2, early, late)
+    squares -= 2 * correlate(q, command, method="fft")[samples - 1 + lags]
+    return int(lags[np.argmin(squares / count - mean**2)])

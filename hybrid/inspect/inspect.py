@@ -113,7 +113,7 @@ def _checked(
         if any(doubt.is_error for doubt in doubts):
             return doubts, recording, None
     uniform = resample(recording)
-    state = filtered_state(uniform, robot)
+    state = filtered_state(uniform)
     for check_motion in _MOTION_CHECKS:
         doubts += check_motion(uniform, robot, state)
         if any(doubt.is_error for doubt in doubts):

@@ -14,6 +14,7 @@ import numpy as np
 
 from hybrid.arrays import Array, Index, Mask
 from hybrid.inspect.state import State
+from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 
 CREEP = 0.02  # of the highest speed: width of the sign change of dry friction
@@ -54,14 +55,15 @@ class MassColumns:
     """Columns of every mass and drive along a motion, as normal equations.
 
     Args:
+        robot: The arm, with its ratings and springs.
         state: M samples.
         masses: Parameters of some masses of each link, shape (n, 10, p).
         Y: Regressor along the samples, shape (M, n, 10n).
     """
 
-    def __init__(self, state: State, masses: Array, Y: Array) -> None:
+    def __init__(self, robot: Robot, state: State, masses: Array, Y: Array) -> None:
         (samples, n), self._tau = state.q.shape, state.tau
-        own, each = _drive_columns(state), np.arange(n)
+        own, each = _drive_columns(robot, state), np.arange(n)
         drives = np.zeros((n, n, *own.shape[1:]))  # joint, drive, column, sample
         drives[each, each] = own
         links = masses.swapaxes(1, 2) @ Y.transpose(1, 2, 0).reshape(n, n, 10, samples)
@@ -72,9 +74,9 @@ class MassColumns:
         self._columns = columns / self._scale[:, None]
         of_drives = np.arange(-drives[0, :, :, 0].size, 0).reshape(n, -1)
         self._offsets = of_drives[:, _OFFSETS]
-        strongest = state.rated / np.maximum(np.abs(own[:, _SPRING]).max(axis=1), _TINY)
+        travel = np.maximum(np.abs(own[:, _SPRING]).max(axis=1), _TINY)
         self._upper = np.full(len(self._scale), np.inf)
-        self._upper[of_drives[:, _SPRING]] = strongest
+        self._upper[of_drives[:, _SPRING]] = robot.tau_max / travel
         self._upper *= self._scale
         self._all = self._sums(slice(None))
         least = _TINY * self._all[2] + _NONE
@@ -170,10 +172,9 @@ def smooth_sign(v: Array) -> Array:
     return np.asarray(np.tanh(v / (CREEP * fastest)))
 
 
-def _drive_columns(state: State) -> Array:
+def _drive_columns(robot: Robot, state: State) -> Array:
     """Rotor, viscous and dry friction, spring, and offsets of both signs, (n, 6, M)."""
-    free = np.isnan(state.relaxed)
-    relaxed = np.where(free, state.q.mean(axis=0), state.relaxed)
+    relaxed = np.where(robot.stiffness > 0, robot.springref, state.q.mean(axis=0))
     dry, one = smooth_sign(state.v), np.ones_like(state.v)
     own = state.a, state.v, dry, state.q - relaxed, one, -one
     return np.stack([x.T for x in own], axis=1)

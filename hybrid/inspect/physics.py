@@ -14,7 +14,6 @@ that samples which a fit does not see tell less clearly.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -28,7 +27,6 @@ from hybrid.inspect.speeds import speeds_confirm_clock
 from hybrid.inspect.state import State
 from hybrid.recording import Recording
 from hybrid.robot import Robot
-from hybrid.robot.chain import Chain
 from hybrid.signals import choose_cutoff, motion_from_recording
 from hybrid.signals.bandwidth import FILTERED, torque_bandwidth
 
@@ -37,11 +35,10 @@ _SPLITS = 2, 4, 8  # blocks, of which every other one is not seen
 _EQUAL_GAIN = 0.2  # difference of gain between readings that are equally good
 _FRICTION_ERROR = 0.003  # share of the variance that another friction law leaves
 _SCALE_ERROR = 0.03  # the same of a law that a scale of torque may imitate
+_VALID = "valid are rad, N·m and s, by the robot file's axes and zeros, in its order"
 _WHOSE = {"any": "an arm of real masses leaves", "file": "the file's links leave"}
 _FINALISTS = 6  # readings that are fitted with weighted joints
-_SHARED = (
-    0.02  # of the mean residual share: smallest at one joint, as joints share links
-)
+_SHARED = 0.02  # of the mean residual share: least at a joint, as joints share links
 _MOST_FAULTS = 4  # of one log
 _NEAR_ZERO = 0.1  # of the largest torque: a torque that is always larger has one sign
 _DRY = 0.3  # of the mean torque
@@ -53,9 +50,9 @@ _RANK = 1e-6  # smallest singular value, over the largest
 class _Readings:
     """Residuals of a log by any reading, for each set of masses, shape (n, 10, P)."""
 
-    def __init__(self, chain: Chain, state: State, masses: dict[str, Array]) -> None:
-        self.chain, self.state, self.masses = chain, state, masses
-        each = np.arange(chain.size)
+    def __init__(self, robot: Robot, state: State, masses: dict[str, Array]) -> None:
+        self.robot, self.state, self.masses = robot, state, masses
+        each = np.arange(robot.size)
         self.written = OtherReading((), (), "", each, np.ones(len(each)))
         self._columns: dict[object, MassColumns] = {}
         self._moved: dict[object, tuple[State, Array]] = {}
@@ -66,7 +63,8 @@ class _Readings:
         if key not in self._columns:
             self._move([reading])
             moved, Y = self._moved[reading.motion]
-            self._columns[key] = MassColumns(moved, self.masses[masses], Y)
+            own = self.masses[masses]
+            self._columns[key] = MassColumns(self.robot, moved, own, Y)
         return self._columns[key]
 
     def _move(self, others: Sequence[OtherReading]) -> None:
@@ -75,30 +73,20 @@ class _Readings:
         moved = [x.moved(self.state) for x in new.values()]
         if moved:
             motion = (np.concatenate([getattr(x, k) for x in moved]) for k in "qva")
-            Y = np.split(regressor(self.chain, *motion), len(moved))
+            Y = np.split(regressor(self.robot.chain, *motion), len(moved))
             self._moved |= zip(new, zip(moved, Y, strict=True), strict=True)
 
-    def residual(
-        self, reading: OtherReading, masses: str, *, rounds: int = 2, blocks: int = 1
-    ) -> Array:
-        """Share of each torque's variance that a fit leaves, shape (n,)."""
-        columns = self.columns(reading, masses)
-        left = columns.residual(*reading.torque, rounds=rounds, blocks=blocks)
+    def residual(self, reading: OtherReading, masses: str, **how: int) -> Array:
+        """:meth:`MassColumns.residual` of a reading, shape (n,)."""
+        order, factor = reading.torque
+        left = self.columns(reading, masses).residual(order, factor, **how)
         return np.maximum(left, _FRICTION_ERROR) if masses == "file" else left
 
-    def gains(
-        self,
-        others: list[OtherReading],
-        masses: str,
-        *,
-        rounds: int = 2,
-        blocks: int = 1,
-    ) -> list[float]:
+    def gains(self, others: list[OtherReading], masses: str, **how: int) -> list[float]:
         """Gain of other readings over the log as written."""
         self._move(others)
-        left = partial(self.residual, masses=masses, rounds=rounds, blocks=blocks)
-        before = left(self.written)
-        return [_gain(before, left(x), x) for x in others]
+        before = self.residual(self.written, masses, **how)
+        return [_gain(before, self.residual(x, masses, **how), x) for x in others]
 
 
 def doubts_of_magnitude(
@@ -117,16 +105,17 @@ def doubts_of_magnitude(
     chain, motion = robot.chain, (state.q, state.v, state.a)
     masses, Y = unit_masses(chain), regressor(chain, *motion)
     plain = np.arange(chain.size), np.ones(chain.size)
-    before = after = MassColumns(state, masses, Y).residual(*plain)
+    before = after = MassColumns(robot, state, masses, Y).residual(*plain)
     likely = inverse_dynamics(chain, chain.inertial, *motion)
     likely += _DRY * state.tau.mean(axis=0) * smooth_sign(state.v)
     for _ in range(_SIGN_ROUNDS):
         sign = np.where(suspect & (likely < 0), -1.0, 1.0)
-        columns = MassColumns(replace(state, tau=sign * state.tau), masses, Y)
+        signed = replace(state, tau=sign * state.tau)
+        columns = MassColumns(robot, signed, masses, Y)
         after, likely = columns.residual(*plain), columns.explained
     # Signs change the variance, too, to which the shares refer.
-    signed, logged = (x[:, suspect].var(axis=0) for x in (sign * state.tau, state.tau))
-    after[suspect] *= signed / logged
+    variance = [x.tau[:, suspect].var(axis=0) for x in (signed, state)]
+    after[suspect] *= variance[0] / variance[1]
     gain = 0.5 * np.log(before / after)
     for j in np.flatnonzero(suspect & (gain > _LEAST_GAIN)).tolist():
         text = (
@@ -145,7 +134,8 @@ def doubts_of_filter(recording: Recording, robot: Robot | None) -> Iterator[Doub
     """
     if robot is None or not recording.has_torque:
         return
-    motion, cutoff = motion_from_recording(recording), choose_cutoff(recording)
+    cutoff = choose_cutoff(recording)
+    motion = motion_from_recording(recording, cutoff=cutoff)
     few = slice(None, None, max(1, int(motion.rate / (_SAMPLES * cutoff))))
     q, v, a, tau = (x[few] for x in (motion.q, motion.v, motion.a, motion.tau))
     Y, model = regressor(robot.chain, q, v, a), np.zeros_like(tau)
@@ -172,7 +162,7 @@ def doubts_of_physics(
     if robot.chain.inertial.any():
         masses["file"] = robot.chain.inertial[:, :, None]
     for _ in range(_MOST_FAULTS):
-        found = _better_reading(_Readings(robot.chain, state, masses), clock_is_right)
+        found = _better_reading(_Readings(robot, state, masses), clock_is_right)
         if found is None:
             return
         yield _doubt(recording, *found)
@@ -221,7 +211,7 @@ def _others(log: _Readings, clock_is_right: bool) -> list[OtherReading]:
     moving = np.flatnonzero(np.ptp(log.state.q, axis=0) > STILL).tolist()
     pairs = np.log(log.columns(log.written, "any").residual_of_pairs())
     best = linear_sum_assignment(pairs)[1]
-    others = list(readings(log.chain, moving, best, log.state))
+    others = list(readings(log.robot, moving, best, log.state.later))
     # Masses anywhere turn with a joint: its zero has to be told by the file's links.
     turned = [x for x in others if np.any(x.shift)]
     known = "file" in log.masses and turned
@@ -271,7 +261,4 @@ def _doubt(
         f"{after[j]:.2g} of the variance of {recording.place('tau', j)} unexplained, "
         f"as logged {before[j]:.2g}"
     )
-    remedy = (
-        "valid are rad, N·m and s, by the robot file's axes and zeros, in its order"
-    )
-    return Doubt(reading.channels[0], reading.joints, text, remedy, severity, gain)
+    return Doubt(reading.channels[0], reading.joints, text, _VALID, severity, gain)

@@ -1,6 +1,6 @@
 """List other readings of a log: other order, signs, units, zeros or clock."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid.arrays import Array, Index
 from hybrid.inspect.state import State
+from hybrid.robot import Robot
 from hybrid.robot.chain import Chain
 
 _ROUND = "to count the other way round"
@@ -87,17 +88,17 @@ class OtherReading:
 
 
 def readings(
-    chain: Chain, moving: list[int], best: Index, state: State
+    robot: Robot, moving: list[int], best: Index, lags: Iterable[float]
 ) -> Iterator[OtherReading]:
     """List orders, signs, units and clocks that a log may have, simple ones first.
 
     Args:
-        chain: The arm.
+        robot: The arm.
         moving: Joints that move; only their positions can be tested.
         best: Torque column that fits each joint best, shape (n,).
-        state: The log, of which the rating and times of the torque are taken.
+        lags: Times by which torques may come after positions, [s].
     """
-    n = chain.size
+    n, chain = robot.size, robot.chain
     kept, ones = np.arange(n), np.ones(n)
     for channels in (("tau",), ("q",), ("q", "tau")):
         of_torque = channels == ("tau",)
@@ -115,7 +116,7 @@ def readings(
                 yield OtherReading(channels, joints, words, order, ones)
     if n > 1:
         yield OtherReading(("tau",), tuple(range(n)), _ROUND, kept, -ones)
-        if np.isfinite(share := state.rated / 100).all() and share.all():
+        if np.isfinite(share := robot.tau_max / 100).all() and share.all():
             words = "to be in percent of the rating"
             yield OtherReading(("tau",), tuple(range(n)), words, kept, share)
         for factor, words in _UNITS.items():
@@ -131,7 +132,7 @@ def readings(
             words = f"to count from a zero {name} off"
             shift = np.where(kept == j, turn * 2 * np.pi, 0.0)
             yield OtherReading(("q",), (j,), words, kept, ones, shift=shift)
-    for lag in state.later:
+    for lag in lags:
         words = f"to be some {abs(lag):g} s {'late' if lag > 0 else 'early'}"
         yield OtherReading(("tau",), tuple(range(n)), words, kept, ones, lag=lag)
     for clock, words in _CLOCKS.items():

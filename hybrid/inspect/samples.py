@@ -157,10 +157,9 @@ def _torque(recording: Recording) -> Iterator[Doubt]:
     for joint in np.flatnonzero(constant).tolist():
         text = f"{recording.place('tau', joint)} is constant ({tau[0, joint]:g})"
         yield Doubt("tau", (joint,), text, _MEASURED, "error")
-    _, first, other = np.unique(tau, axis=1, return_index=True, return_inverse=True)
-    twin = (first[other] != np.arange(len(other))) & ~constant
-    for joint in np.flatnonzero(twin).tolist():
-        twins = (int(first[other[joint]]), joint)
+    first = np.argmax([(tau.T == x).all(axis=1) for x in tau.T], axis=1)
+    for joint in np.flatnonzero(~constant & (first < np.arange(len(first)))).tolist():
+        twins = int(first[joint]), joint
         places = " and ".join(recording.place("tau", k) for k in twins)
         text = f"{places} are the same in every row"
         yield Doubt("tau", twins, text, _MEASURED, "error")

@@ -7,7 +7,6 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.recording import Recording
-from hybrid.robot import Robot
 from hybrid.signals.cutoff import choose_cutoff
 from hybrid.signals.filters import butterworth, central_difference
 
@@ -27,9 +26,6 @@ class State:
         a: Accelerations, shape (M, n), [rad/s² or m/s²].
         tau: Torques, shape (M, n), [N·m or N].
         logged: Measured speeds, shape (M, n), or None.
-        relaxed: Rest position of the springs in the robot file, shape (n,), [rad or m];
-            NaN at joints without one.
-        rated: Rated torque in the robot file, shape (n,), [N·m or N].
         later: The torque some time later, by that time in [s], shape (M, n) each.
     """
 
@@ -37,13 +33,11 @@ class State:
     v: Array
     a: Array
     tau: Array
-    logged: Array | None
-    relaxed: Array
-    rated: Array
+    logged: Array | None = None
     later: Mapping[float, Array] = field(default_factory=dict)
 
 
-def filtered_state(recording: Recording, robot: Robot | None) -> State:
+def filtered_state(recording: Recording) -> State:
     """Filter, differentiate and decimate a log on a uniform clock.
 
     The unit of time may be wrong. The cut-off is therefore chosen at an assumed rate,
@@ -69,8 +63,4 @@ def filtered_state(recording: Recording, robot: Robot | None) -> State:
     logged = None if recording.v is None else smooth(recording.v, cutoff)[kept]
     at = {lag: kept + round(lag * rate) for lag in _LAGS}
     later = {lag: tau[np.clip(rows, 0, samples - 1)] for lag, rows in at.items()}
-    relaxed, rated = np.full(recording.size, np.nan), np.full(recording.size, np.inf)
-    if robot is not None:
-        relaxed = np.where(robot.stiffness > 0, robot.springref, np.nan)
-        rated = robot.tau_max
-    return State(q, v, a, tau[kept], logged, relaxed, rated, later)
+    return State(q, v, a, tau[kept], logged, later)

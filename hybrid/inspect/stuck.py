@@ -68,11 +68,9 @@ def _clipped(x: Array, coarse: bool) -> Mask:
     A coarse sensor holds every level: there the extreme one must be much more frequent.
     """
     clipped = np.zeros(len(x), dtype=bool)
-    levels, counts = np.unique(x, return_counts=True)
-    for end, beside in ((0, 1), (-1, -2)) if len(levels) > 1 else ():
-        at = x == levels[end]
-        again = (at[1:] & at[:-1]).sum() > 0.5 * at.sum()
-        alone = not coarse or counts[end] > _ALONE * counts[beside]
-        if at.mean() > _SHARE and again and alone:
-            clipped |= at
+    for y in (x, -x) if np.ptp(x) > 0 else ():
+        at = y == y.max()
+        if at.mean() > _SHARE and (at[1:] & at[:-1]).sum() > 0.5 * at.sum():
+            beside = np.sum(y == y[~at].max())
+            clipped |= at & (not coarse or at.sum() > _ALONE * beside)
     return clipped
