@@ -279,17 +279,14 @@ def _longest_chain(tree: Tree) -> tuple[str, ...]:
             f"{tree.where}: no movable joint of an arm; valid are joints that turn or "
             f"slide along one axis{''.join(others[:1])}"
         )
-    children: dict[str | None, list[str]] = {}
-    for name, parent in tree.parents.items():
-        children.setdefault(parent, []).append(name)
-
-    depth: dict[str, int] = {}  # length of the longest chain from each joint
-    for name in reversed(list(tree.parents)):  # children before parents
-        below = [depth[child] for child in children.get(name, [])]
-        depth[name] = (name not in tree.kinds) + max(below, default=0)
-
+    children: dict[str | None, list[str]] = {None: [], **{x: [] for x in tree.parents}}
+    depth = dict.fromkeys(children, 0)  # length of the longest chain from each joint
+    for name, parent in reversed(list(tree.parents.items())):  # children first
+        depth[name] += name not in tree.kinds
+        depth[parent] = max(depth[parent], depth[name])
+        children[parent].insert(0, name)
     chain: list[str] = []
-    here = children.get(None, [])
+    here = children[None]
     while here:
         depths = [depth[name] for name in here]
         if depths.count(deepest := max(depths)) > 1 and deepest <= len(chain):
@@ -297,7 +294,7 @@ def _longest_chain(tree: Tree) -> tuple[str, ...]:
         name = here[depths.index(deepest)]
         if name not in tree.kinds:
             chain.append(name)
-        here = children.get(name, [])
+        here = children[name]
     while len(chain) > 1 and chain[-1] in tree.leaders.values():
         chain.pop()
     return tuple(chain)

@@ -12,7 +12,7 @@ from hybrid.errors import RobotError
 from hybrid.robot.build import mjcf_skeleton
 from hybrid.robot.edit.document import element, text_of
 from hybrid.robot.edit.urdf import DRAKE, inertial_text
-from hybrid.robot.mjcf import joint_names, matrix, mujoco_tree
+from hybrid.robot.mjcf import joint_numbers, matrix, mujoco_tree
 from hybrid.robot.mujoco_model import compile_spec, spec_from_file
 from hybrid.robot.robot import Robot
 from hybrid.robot.tree import Node
@@ -116,7 +116,7 @@ class _Writer:
                 f"{robot.path}: joint {name!r} is free or a ball, which URDF does not "
                 "have; valid are hinge and slide"
             )
-        joint = joint_names(model).index(name)
+        (joint,) = joint_numbers(model, [name])
         limited, dof = bool(model.jnt_limited[joint]), model.jnt_dofadr[joint]
         turns = "revolute" if limited else "continuous"
         limits = {"effort": UNLIMITED, "velocity": UNLIMITED}
