@@ -152,7 +152,7 @@ def random_tree(seed, size) -> str:
     return robot_of(*rng.permutation(parts))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(1, 7))
 def test_any_tree_is_read_as_pinocchio_reads_it(tmp_path_factory, seed, size):
     path = tmp_path_factory.mktemp("arm") / "arm.urdf"
