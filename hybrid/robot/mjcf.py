@@ -172,8 +172,7 @@ def mujoco_tree(model: Any, where: str | Path) -> Tree:
     for body in range(1, model.nbody):
         parent = last[int(model.body_parentid[body])]
         R, p = matrix(model.body_quat[body]), model.body_pos[body]
-        first = int(model.body_jntadr[body])
-        for joint in range(first, first + int(model.body_jntnum[body])):
+        for joint in np.flatnonzero(model.jnt_bodyid == body).tolist():
             kind, offset = int(model.jnt_type[joint]), np.zeros(3)
             own: dict[str, Any] = {"kind": _KINDS.get(kind, "")}
             if kind not in _KINDS:

@@ -308,12 +308,10 @@ def _chosen_chain(tree: Tree, joints: tuple[str, ...]) -> tuple[str, ...]:
             f"{tree.where}: no joint {', '.join(unknown) or 'chosen'}"
             f"{''.join(kinds)}; valid are {', '.join(tree.free)}"
         )
-    lines = {name: tree.line(name, tree.parents) for name in joints}
-    tip = max(joints, key=lambda name: len(lines[name]))
-    elsewhere = [name for name in joints if name not in lines[tip]]
-    if elsewhere:
+    line = max((tree.line(name, tree.parents) for name in joints), key=len)
+    if elsewhere := [name for name in joints if name not in line]:
         raise RobotError(
             f"{tree.where}: joints {', '.join(elsewhere)} are not on the way "
-            f"to {tip!r}; the joints of one serial arm are needed"
+            f"to {line[-1]!r}; the joints of one serial arm are needed"
         )
-    return tuple(name for name in lines[tip] if name in joints)
+    return tuple(name for name in line if name in joints)
