@@ -57,12 +57,7 @@ def actuator_tags(document: Document, joint: str) -> list[Tag]:
 
 
 def _edit(
-    document: Document,
-    model: Any,
-    a: int,
-    gear: float,
-    tag: Tag,
-    new: Actuator,
+    document: Document, model: Any, a: int, gear: float, tag: Tag, new: Actuator
 ) -> Iterator[str]:
     """Change one actuator; yield the changes that it cannot express."""
     if new.latency:
