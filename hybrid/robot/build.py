@@ -110,9 +110,9 @@ def add_motors(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Add motors and limits to a spec without actuators."""
     for k, name in enumerate(robot.joints):
         joint = spec.joint(name)
-        if np.isfinite([robot.q_min[k], robot.q_max[k]]).all():
-            joint.limited = 1
-            joint.range = np.array([robot.q_min[k], robot.q_max[k]])
+        ends = np.array([robot.q_min[k], robot.q_max[k]])
+        if np.isfinite(ends).all():
+            joint.limited, joint.range = 1, ends
         if np.isfinite(robot.tau_max[k]):
             joint.actfrclimited = 1
             joint.actfrcrange = np.array([-1.0, 1.0]) * robot.tau_max[k]

@@ -46,8 +46,7 @@ def fields_of_mujoco(
     limited = model.jnt_limited[index].astype(bool)
     kp, kd = servo_gains(model)
     places, _ = tree.places(keep, held)
-    pairs = zip(tree.nodes, places, strict=True)
-    moved = [n.body for n, p in pairs if p.link >= 0 and n.body is not None]
+    moved = [n.body for n, p in places if p.link >= 0 and n.body is not None]
     for body in moved:
         if body in missing_inertia:
             raise RobotError(

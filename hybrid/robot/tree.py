@@ -142,18 +142,18 @@ class Tree:
 
     def places(
         self, joints: Sequence[str], held: Mapping[str, float]
-    ) -> tuple[list[Place], list[Place]]:
-        """Place of each node in the arm, and of each joint's frame in the link before.
+    ) -> tuple[list[tuple[Node, Place]], list[Place]]:
+        """Nodes with their places, and places of joints' frames in the link before.
 
         The arm's joints are given base to tip, and the positions of the others if they
         differ from the file.
         """
-        places: list[Place] = []
+        places: list[tuple[Node, Place]] = []
         frames: list[Place] = []
         for node in self.nodes:
             link, R, p = Place(_BASE, np.eye(3), np.zeros(3))
             if node.parent >= 0:
-                link, R, p = places[node.parent]
+                _, (link, R, p) = places[node.parent]
             p, R = p + R @ node.translation, R @ node.rotation
             at = held.get(node.joint, node.home)
             if node.joint in joints:
@@ -163,7 +163,7 @@ class Tree:
                 R = R @ Rotation.from_rotvec(at * node.axis).as_matrix()
             elif node.joint:
                 p = p + at * (R @ node.axis)
-            places.append(Place(link, R, p))
+            places.append((node, Place(link, R, p)))
         return places, frames
 
     def chain(
@@ -177,7 +177,7 @@ class Tree:
         places, frames = self.places(joints, held)
         inertial = np.zeros((len(joints), 10))
         names: dict[int, str] = {}  # of links with a body
-        for node, place in zip(self.nodes, places, strict=True):
+        for node, place in places:
             if place.link >= 0 and node.body is not None:
                 inertial[place.link] += place.inertial(node)
                 names.setdefault(place.link, node.name)
