@@ -8,7 +8,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.robot.actuators import motors_of
-from hybrid.robot.mjcf import joint_names, start
+from hybrid.robot.mjcf import joint_numbers
 from hybrid.robot.mujoco_model import compile_file
 from hybrid.signals import Motion
 
@@ -32,11 +32,10 @@ def file_inverse_dynamics(
     model = compile_file(file)
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
-    data, names = mujoco.MjData(model), joint_names(model)
-    index = [names.index(name) for name in joints]
+    data, index = mujoco.MjData(model), joint_numbers(model, joints)
     motors = list(motors_of(model, driven=False))
     places, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
-    data.qpos[:] = start(model, held)
+    data.qpos[model.jnt_qposadr[joint_numbers(model, held)]] = [*held.values()]
     torque = np.empty_like(motion.q)
     for k in range(len(motion.t)):
         data.qpos[places], data.qvel[dofs] = motion.q[k], motion.v[k]

@@ -1,6 +1,7 @@
 """Base parameters: as many as theory says, the same torque, and readable names."""
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -36,6 +37,7 @@ MILLIMETRE = """<mujoco><compiler angle="radian"/><worldbody><body>
 </body></worldbody></mujoco>"""
 
 
+@cache
 def arm(name: str) -> Robot:
     return public_arm(name) if name in PUBLIC_ARMS else Robot.load(MODELS / name)
 
@@ -71,7 +73,7 @@ def test_base_parameters_give_the_torque_of_all_parameters(name):
     assert_same_torque_from_fewer(robot, problem_of(robot).base)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1))
 def test_so_they_do_for_random_chains(seed):
     robot = random_arm(seed)

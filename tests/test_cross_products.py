@@ -74,7 +74,7 @@ def test_normal_equations_are_those_of_the_stacked_matrix(cutoff):
     assert_same(b, b_dense, 1e-12)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_so_they_are_for_random_chains_and_weights(seed):
     robot = random_arm(seed)

@@ -121,6 +121,7 @@ def test_the_smallest_of_the_capsules_along_its_axes_is_taken(thin, tmp_path):
 
 
 def test_what_is_on_the_base_is_its_own_and_alone_is_no_arm(tmp_path):
+    assert urdf(tmp_path, '<sphere radius="0.1"/>', " ").link.tolist() == [0]
     found = urdf(tmp_path, '<sphere radius="0.1"/>', '<box size="1 1 1"/>')
     assert sorted(found.link.tolist()) == [-1, 0]
     assert [x for x, k in zip(found.names, found.link, strict=True) if k == 0] == [

@@ -350,21 +350,43 @@ def message_of(path, **options):
     return text
 
 
-def test_a_missing_file_is_named(tmp_path):
-    assert "no such robot file" in message_of(tmp_path / "gone.urdf")
+def mjcf(body, around="") -> str:
+    return f"<mujoco>{around}<worldbody>{body}</worldbody></mujoco>"
 
 
-def test_urdf_with_the_ending_of_mjcf_is_refused(tmp_path):
-    """MuJoCo would read it, without the limits of its joints."""
-    path = tmp_path / "arm.xml"
-    path.write_text('<?xml version="1.0"?><!-- an arm --><robot name="arm"/>')
-    assert "valid is the ending .urdf" in message_of(path)
+def hinge(inside=SOLID, kind="hinge", name="j") -> str:
+    return f"<body><joint name='{name}' type='{kind}'/>{inside}</body>"
 
 
-def test_an_unknown_suffix_lists_those_that_are_known(tmp_path):
-    path = tmp_path / "arm.sdf"
-    path.write_text("<sdf/>")
-    assert ".urdf, .xml, .mjcf" in message_of(path)
+ONE_AXIS = "valid are joints that turn or slide along one axis"
+LIMITED = "<custom><numeric name='velocity_limit' data='1 2'/></custom>"
+NO_ARM = {
+    "a missing file": ("gone.urdf", None, "no such robot file"),
+    # MuJoCo would read it, without the limits of its joints.
+    "URDF by the ending of MJCF": (
+        "arm.xml", '<?xml version="1.0"?><!-- an arm --><robot name="arm"/>',
+        "valid is the ending .urdf",
+    ),
+    "an unknown ending": ("arm.sdf", "<sdf/>", ".urdf, .xml, .mjcf"),
+    "no mass": ("arm.xml", mjcf(hinge("")), "mass and inertia of moving bodies"),
+    "a free body": ("arm.xml", mjcf(hinge(kind="free")), f"{ONE_AXIS}; joint 'j' is"),
+    "a ball": ("arm.xml", mjcf(hinge(kind="ball")), f"{ONE_AXIS}; joint 'j' is"),
+    "a body without a joint": (
+        "arm.xml", mjcf(f"<body>{SOLID}</body>"), "no movable joint",
+    ),
+    "limits of two joints": (
+        "arm.xml", mjcf(hinge(), LIMITED),
+        "'velocity_limit' has 2 values, one for each of the 1",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NO_ARM)
+def test_what_is_no_arm_is_refused_in_one_line(tmp_path, name):
+    file, text, words = NO_ARM[name]
+    if text is not None:
+        (tmp_path / file).write_text(text)
+    assert words in message_of(tmp_path / file)
 
 
 @pytest.mark.parametrize("name", ["arm.xml", "arm.urdf"])
@@ -376,53 +398,28 @@ def test_a_broken_file_is_one_readable_line(tmp_path, name, text, capfd):
     capfd.readouterr()  # the URDF parser has its own say on the error stream
 
 
-def test_an_mjcf_that_does_not_compile_says_why(tmp_path):
-    path = saved(tmp_path, "<body><joint name='j'/></body>")
-    assert "mass and inertia of moving bodies" in message_of(path)
-
-
-@pytest.mark.parametrize("kind", ["free", "ball"])
-def test_a_joint_of_several_axes_in_mjcf_is_refused(tmp_path, kind):
-    path = saved(tmp_path, f"<body><joint name='root' type='{kind}'/>{SOLID}</body>")
-    text = message_of(path)
-    assert "valid are joints that turn or slide along one axis; joint 'root' is" in text
-
-
-@pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_a_joint_of_several_axes_in_urdf_is_refused(tmp_path, kind):
+@pytest.mark.parametrize("kind", ["floating", "planar", "fixed"])
+def test_a_joint_of_several_axes_or_of_none_in_urdf_is_refused(tmp_path, kind):
     path = urdf(tmp_path, f"<joint name='root' type='{kind}'>{ENDS}</joint>")
-    assert "joint 'root' is" in (text := message_of(path))
-    assert "valid are joints that turn or slide along one axis" in text
+    text = message_of(path)
+    assert "no movable joint" in text and ONE_AXIS in text
+    assert ("joint 'root' is" in text) == (kind != "fixed")
 
 
-def test_a_file_without_a_movable_joint_is_refused(tmp_path):
-    path = saved(tmp_path, f"<body>{SOLID}</body>")
-    assert "no movable joint" in message_of(path)
-    path = urdf(tmp_path, f"<joint name='weld' type='fixed'>{ENDS}</joint>")
-    assert "no movable joint" in message_of(path)
-
-
-def test_an_unknown_joint_lists_the_joints_of_the_file():
-    path = MODELS / "scara.xml"
-    text = message_of(path, joints=("hip",))
-    assert "no joint hip; valid are shoulder, elbow" in text
-
-
-def test_no_joint_at_all_is_not_a_choice():
-    assert "valid are shoulder, elbow" in message_of(MODELS / "scara.xml", joints=())
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [
+        (("hip",), "no joint hip; valid are shoulder, elbow"),
+        ((), "valid are shoulder, elbow"),
+    ],
+)
+def test_joints_that_are_none_list_those_of_the_file(joints, words):
+    assert words in message_of(MODELS / "scara.xml", joints=joints)
 
 
 def test_joints_on_two_branches_are_refused(tmp_path):
-    branch = f"<body><joint name='{{}}'/>{SOLID}</body>"
-    path = saved(tmp_path, branch.format("left") + branch.format("right"))
-    text = message_of(path, joints=("left", "right"))
-    assert "not on the way to" in text
-
-
-def test_a_limit_for_the_wrong_number_of_joints_is_refused(tmp_path):
-    limit = "<custom><numeric name='velocity_limit' data='1 2'/></custom>"
-    path = saved(tmp_path, f"<body><joint/>{SOLID}</body>", around=limit)
-    assert "'velocity_limit' has 2 values, one for each of the 1" in message_of(path)
+    path = saved(tmp_path, hinge(name="left") + hinge(name="right"))
+    assert "not on the way to" in message_of(path, joints=("left", "right"))
 
 
 # --- the object ---------------------------------------------------------------------

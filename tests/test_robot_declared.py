@@ -166,7 +166,7 @@ def test_dry_friction_of_a_common_rotor_follows_the_sum_of_the_speeds():
 def test_a_common_rotor_of_the_file_is_simulated_and_identified():
     planar = Robot.load(MODELS / "planar.xml")
     robot = replace(planar, coupled=np.array([[0, 1, 0.1, 1.0, 0.5]]))
-    logs = simulate(robot, trajectories=3, seed=0)
+    logs = simulate(robot, trajectories=3, duration=5.0, seed=0)
     model = identify(robot, logs, stages=("rigid",)).model
     (rotor,) = [e for e in model.effects if e.joints == (0, 1)]
     assert rotor.values["viscous"] == pytest.approx(1.0, rel=0.1)
@@ -519,7 +519,7 @@ def test_springs_and_curves_of_a_file_are_identified_and_exported(tmp_path):
         quadratic=np.array([0.0, 0.4]),
     )
     file = replace(real, stiffness=np.array([9.0, 5.0]))
-    logs = simulate(Plant(real, [], nominal=real), trajectories=4, duration=6.0, seed=1)
+    logs = simulate(Plant(real, [], nominal=real), trajectories=3, duration=5.0, seed=1)
     fit = identify(file, logs, stages=("rigid",), consistent=True)
     made = model_simulator(fit.model)
     assert not made.notes

@@ -466,6 +466,20 @@ NAMELESS = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
   </body></body></worldbody></mujoco>"""
 
 
+def with_actuator(text):
+    """An arm without names of its bodies, and with an actuator."""
+    return NAMELESS.replace("</mujoco>", f"<actuator>{text}</actuator></mujoco>")
+
+
+def edited(text, tmp_path, robot=None, effects=()):
+    """The file of an arm, and MuJoCo's model of it, before and with some changes."""
+    (tmp_path / "arm.xml").write_text(text)
+    own = Robot.load(tmp_path / "arm.xml")
+    build_simulator(robot(own) if robot else own, effects).write(tmp_path / "new.xml")
+    names = ("arm.xml", "new.xml")
+    return [mujoco.MjModel.from_xml_path(str(tmp_path / x)) for x in names]
+
+
 @pytest.mark.parametrize("head", ["", '<compiler inertiafromgeom="true"/>'])
 def test_bodies_without_a_name_or_a_mass_of_their_own_take_new_ones(head, tmp_path):
     """Their links are those of their shapes, by MuJoCo's density, until then."""
@@ -542,23 +556,15 @@ def test_a_link_of_a_urdf_that_only_holds_a_tool_takes_mass_rotor_and_friction(
     ],
 )
 def test_what_an_actuator_has_no_place_for_is_said(actuator, effect, note, tmp_path):
-    text = NAMELESS.replace("</mujoco>", f"<actuator>{actuator}</actuator></mujoco>")
-    (tmp_path / "arm.xml").write_text(text)
+    (tmp_path / "arm.xml").write_text(with_actuator(actuator))
     made = build_simulator(Robot.load(tmp_path / "arm.xml"), [effect])
     assert any(note in x for x in made.notes), made.notes
 
 
 def test_a_servo_that_inherits_its_range_keeps_it_with_other_gains(tmp_path):
     servo = '<position joint="turns" kp="20" kv="2" inheritrange="0.5"/>'
-    text = NAMELESS.replace("</mujoco>", f"<actuator>{servo}</actuator></mujoco>")
-    (tmp_path / "arm.xml").write_text(text)
     softer = ControllerGain((0,), {"stiffness": -0.4, "damping": 0.5})
-    made = build_simulator(Robot.load(tmp_path / "arm.xml"), [softer])
-    made.write(tmp_path / "new.xml")
-    old, new = (
-        mujoco.MjModel.from_xml_path(str(tmp_path / name))
-        for name in ("arm.xml", "new.xml")
-    )
+    old, new = edited(with_actuator(servo), tmp_path, None, [softer])
     np.testing.assert_allclose(new.actuator_ctrlrange, old.actuator_ctrlrange)
     np.testing.assert_allclose(new.actuator_gainprm[0, 0], 0.6 * 20.0)
     np.testing.assert_allclose(new.actuator_biasprm[0, :3], [0.0, -12.0, -3.0])
@@ -730,15 +736,6 @@ def test_ripple_is_cogging_of_a_motor_that_nothing_commands(tmp_path):
     assert build_simulator(again).diff() == ""
 
 
-def edited(text, tmp_path, robot=None, effects=()):
-    """The file of an arm, and MuJoCo's model of it, before and with some changes."""
-    (tmp_path / "arm.xml").write_text(text)
-    own = Robot.load(tmp_path / "arm.xml")
-    build_simulator(robot(own) if robot else own, effects).write(tmp_path / "new.xml")
-    names = ("arm.xml", "new.xml")
-    return [mujoco.MjModel.from_xml_path(str(tmp_path / x)) for x in names]
-
-
 def test_a_spring_that_is_relaxed_elsewhere_is_written_and_no_other(tmp_path):
     text = NAMELESS.replace('damping=".2"', 'damping=".2" stiffness="3" springref="20"')
 
@@ -768,9 +765,8 @@ def test_dry_friction_is_as_hard_as_a_step_lets_it_be(tmp_path):
 def test_a_gain_multiplies_all_that_an_actuator_gives(tmp_path):
     """What it gives without a command, its stiffness and its damping."""
     drive = '<general joint="turns" gainprm="9" biastype="affine" biasprm="2 -9 -1"/>'
-    text = NAMELESS.replace("</mujoco>", f"<actuator>{drive}</actuator></mujoco>")
-    (tmp_path / "arm.xml").write_text(text)
-    old, new = edited(text, tmp_path, None, [TorqueGain((0,), {"gain": 0.25})])
+    gain = TorqueGain((0,), {"gain": 0.25})
+    old, new = edited(with_actuator(drive), tmp_path, None, [gain])
     part = 1 / 1.25  # of the torque asked for, so that what is logged is it
     assert new.actuator_gainprm[0, 0] == pytest.approx(part * 9)
     assert new.actuator_biasprm[0, :3] == pytest.approx(part * np.array([2, -9, -1]))

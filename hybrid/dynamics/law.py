@@ -28,7 +28,6 @@ _SCALAR_TEMPLATES = _ARRAY_TEMPLATES | {
 }  # fmt: skip
 _FEW_SAMPLES = 16  # so few samples are faster one by one
 _CHUNK = 8192  # samples at a time, which stay in the cache
-_SPECIAL = {"inf": math.inf, "nan": math.nan}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,19 +91,16 @@ class Law:
 
     @cached_property
     def _arrays(self) -> Callable[..., Any]:
-        return self._function(
-            _ARRAY_TEMPLATES, {**OPERATIONS, "sine_cosine": sine_cosine}
-        )
+        return self._function(_ARRAY_TEMPLATES, OPERATIONS)
 
     def _function(
         self, templates: Mapping[str, str], names: Mapping[str, Any]
     ) -> Callable[..., Any]:
         """Compile; the text has only operations and numbers, and no name of a file."""
-        found = {x.arguments[0]: k for k, x in enumerate(self.tape.lines)
-                 if x.name == "input"}  # fmt: skip
-        given = (f"x{found.get(x, f'_unused_{k}')}" for k, x in enumerate(self.inputs))
+        given = (f"x{self.tape.input(name).line}" for name in self.inputs)
         lines = "".join(f"    {line}\n" for line in self._lines(templates))
-        space: dict[str, Any] = {**names, **_SPECIAL}
+        own = {"inf": math.inf, "nan": math.nan, "sine_cosine": sine_cosine}
+        space: dict[str, Any] = {**names, **own}
         exec(f"def law({', '.join(given)}):\n{lines}", space)
         function: Callable[..., Any] = space["law"]
         return function

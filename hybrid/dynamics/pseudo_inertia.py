@@ -53,13 +53,11 @@ def is_consistent(inertial: Array) -> Mask:
     Point masses and rods, which have no width in some direction, are consistent.
     """
     J = pseudo_inertia(inertial)
-    mass = J[..., 3, 3]
-    unit = np.empty(J.shape[:-1])
-    unit[..., :3] = _trace(J[..., :3, :3])[..., 0]
-    unit[..., 3] = mass
+    unit = np.diagonal(J, axis1=-2, axis2=-1).copy()
+    unit[..., :3] = unit[..., :3].sum(axis=-1, keepdims=True)
     unit = np.where(unit == 0, 1.0, np.sqrt(np.abs(unit)))
     smallest = np.linalg.eigvalsh(J / unit[..., None] / unit[..., None, :])[..., 0]
-    return np.asarray((smallest >= -_ROUNDING) & (mass > 0))
+    return np.asarray((smallest >= -_ROUNDING) & (J[..., 3, 3] > 0))
 
 
 def stacked(J: Array) -> Array:

@@ -5,6 +5,7 @@ that it records are compiled to functions of arrays.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -35,7 +36,7 @@ def inverse_dynamics(
         Torque, shape (N, n), [N·m].
     """
     constants = [*inertial.ravel().tolist(), *chain.gravity.tolist()]
-    return _torque_law(_Arm(chain)).along((q, v, a), constants)
+    return _torque_law(_arm(chain)).along((q, v, a), constants)
 
 
 def regressor(chain: Chain, q: Array, v: Array, a: Array) -> Array:
@@ -54,7 +55,7 @@ def regressor(chain: Chain, q: Array, v: Array, a: Array) -> Array:
 
 def regressor_law(chain: Chain, entries: tuple[int, ...]) -> Law:
     """Entries of the flattened (n, 10n) regressor; inputs are q, v and a; cached."""
-    return _regressor_law(_Arm(chain, gravity=True), entries)
+    return _regressor_law(_arm(chain, chain.gravity), entries)
 
 
 def regressor_gradient(
@@ -68,7 +69,7 @@ def regressor_gradient(
     Returns:
         Derivatives by q, v and a, each of shape (N, n).
     """
-    law, entries = _gradient_law(_Arm(chain, gravity=True))
+    law, entries = _gradient_law(_arm(chain, chain.gravity))
     weights = weight.reshape(len(q), 10 * chain.size**2)[:, entries]
     found = law.along((q, v, a, weights))
     by_q, by_v, by_a = np.split(found, 3, axis=1)
@@ -91,20 +92,18 @@ def torque_gradient(
     return regressor_gradient(chain, q, v, a, weight)
 
 
+@dataclass(frozen=True)
 class _Arm:
-    """A chain as a key of caches, equal for equal kinematics, and gravity if asked."""
+    """A chain as a key of caches, equal for equal content."""
 
-    def __init__(self, chain: Chain, *, gravity: bool = False) -> None:
-        self.chain = chain
-        arrays = [chain.rotation, chain.translation, chain.axis, chain.revolute]
-        arrays += [chain.gravity] if gravity else []
-        self.content = b"".join(x.tobytes() for x in arrays)
+    content: bytes
+    chain: Chain = field(compare=False)
 
-    def __hash__(self) -> int:
-        return hash(self.content)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Arm) and self.content == other.content
+def _arm(chain: Chain, *more: Array) -> _Arm:
+    """A chain that is equal for equal kinematics, and equal further arrays."""
+    arrays = chain.rotation, chain.translation, chain.axis, chain.revolute, *more
+    return _Arm(b"".join(x.tobytes() for x in arrays), chain)
 
 
 @lru_cache(maxsize=_MOST_ARMS)

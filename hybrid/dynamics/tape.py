@@ -7,6 +7,7 @@ folded, and common subexpressions are recorded once.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -92,13 +93,9 @@ class Tape:
         self, results: Sequence[Symbol], seeds: Sequence[Any], inputs: Sequence[Symbol]
     ) -> list[Any]:
         """Derivatives of ``sum(seed * result)`` by inputs, in reverse mode."""
-        slope: dict[int, Any] = {}
-
-        def add(line: int, x: Any) -> None:
-            slope[line] = slope[line] + x if line in slope else x
-
+        slope: dict[int, Any] = defaultdict(float)  # of the sum by each line
         for result, seed in zip(results, seeds, strict=True):
-            add(result.line, seed)
+            slope[result.line] = slope[result.line] + seed
         for line in reversed(self.needed(results)):
             name, arguments = self.lines[line].name, self.lines[line].arguments
             if name == "input":
@@ -106,8 +103,8 @@ class Tape:
             x = [Symbol(self, y) if isinstance(y, int) else y for y in arguments]
             for argument, factor in zip(arguments, _SLOPES[name](*x), strict=True):
                 if isinstance(argument, int):
-                    add(argument, slope[line] * factor)
-        return [slope.get(x.line, 0.0) for x in inputs]
+                    slope[argument] = slope[argument] + slope[line] * factor
+        return [slope[x.line] for x in inputs]
 
     def _line(self, name: str, arguments: tuple[Any, ...]) -> int:
         key = (name, *((type(x), x) for x in arguments))

@@ -78,30 +78,21 @@ def torque_limit(model: Any) -> np.ndarray:
     for j in np.flatnonzero(model.jnt_actfrclimited):
         limit[j] = np.abs(model.jnt_actfrcrange[j]).max()
     for a, joint, gear in motors_of(model):
+        kind, gain = model.actuator_gaintype[a], model.actuator_gainprm[a]
         plain = (
-            model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+            kind == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
         )
-        most = _most_torque(model, a)
-        limit[joint] = min(limit[joint], abs(gear) * most)
+        most = np.inf
+        if kind == mujoco.mjtGain.mjGAIN_DCMOTOR and gain[7] > 0:
+            most = gain[1] / gain[0] * gain[7]  # stall torque at the largest voltage
         if plain and model.actuator_ctrllimited[a]:  # force is gain times control
-            force = np.abs(model.actuator_gainprm[a, 0] * model.actuator_ctrlrange[a])
-            limit[joint] = min(limit[joint], abs(gear) * force.max())
+            most = min(most, np.abs(gain[0] * model.actuator_ctrlrange[a]).max())
         if model.actuator_forcelimited[a]:
-            force = np.abs(model.actuator_forcerange[a]).max()
-            limit[joint] = min(limit[joint], abs(gear) * force)
+            most = min(most, np.abs(model.actuator_forcerange[a]).max())
+        limit[joint] = min(limit[joint], abs(gear) * most)
     limit[limit <= 0] = np.inf
     return limit
-
-
-def _most_torque(model: Any, a: int) -> float:
-    """Stall torque of a DC motor by the voltage of its controller, or inf."""
-    if model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_DCMOTOR:
-        resistance, constant = model.actuator_gainprm[a, :2]
-        voltage = model.actuator_gainprm[a, 7]
-        if voltage > 0:
-            return float(constant / resistance * voltage)
-    return np.inf
 
 
 def servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -113,31 +104,22 @@ def servo_gains(model: Any) -> tuple[np.ndarray, np.ndarray]:
     """
     kp, kd = np.zeros((2, model.njnt))
     for a, joint, gear in motors_of(model):
-        if _positions_motor(model, a):
-            kp[joint] += gear**2 * model.actuator_gainprm[a, 4]
-            kd[joint] += gear**2 * model.actuator_gainprm[a, 6]
-            continue
-        gain = model.actuator_gainprm[a, 0]
+        kind, gain = model.actuator_gaintype[a], model.actuator_gainprm[a]
         constant, stiffness, damping = model.actuator_biasprm[a, :3]
-        servo = (
-            model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
-            and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
-            and gain > 0
-            and constant == 0
-        )
-        position = servo and np.isclose(gain, -stiffness)
-        velocity = servo and stiffness == 0 and np.isclose(gain, -damping)
-        if position or velocity:
+        if kind == mujoco.mjtGain.mjGAIN_DCMOTOR:
+            position = model.actuator_ctrlspec[a] == mujoco.mjtCtrlInput.mjINPUT_POS
+            servo = position and gain[5] == 0  # of the integral
+            stiffness, damping = -gain[4], -gain[6]
+        else:
+            servo = (
+                kind == mujoco.mjtGain.mjGAIN_FIXED
+                and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
+                and gain[0] > 0
+                and constant == 0
+                and np.isclose(gain[0], -stiffness if stiffness else -damping)
+            )
+        if servo:
             kp[joint] -= gear**2 * stiffness
             kd[joint] -= gear**2 * damping
     has_servo = kp > 0
     return np.where(has_servo, kp, np.nan), np.where(has_servo, kd, np.nan)
-
-
-def _positions_motor(model: Any, a: int) -> bool:
-    """Whether an actuator is a DC motor behind a PD controller of position."""
-    return bool(
-        model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_DCMOTOR
-        and model.actuator_ctrlspec[a] == mujoco.mjtCtrlInput.mjINPUT_POS
-        and model.actuator_gainprm[a, 5] == 0  # of the integral
-    )

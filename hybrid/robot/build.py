@@ -33,12 +33,9 @@ def pinocchio_model(robot: Robot) -> pinocchio.Model:
     model.name = robot.name
     model.gravity.linear = chain.gravity
     parent = 0
+    turn, slide = pin.JointModelRevoluteUnaligned, pin.JointModelPrismaticUnaligned
     for k, name in enumerate(chain.joints):
-        kind = (
-            pin.JointModelRevoluteUnaligned
-            if chain.revolute[k]
-            else pin.JointModelPrismaticUnaligned
-        )
+        kind = turn if chain.revolute[k] else slide
         placement = pin.SE3(chain.rotation[k], chain.translation[k])
         parent = model.addJoint(parent, kind(*chain.axis[k]), placement, name)
         inertia = pin.Inertia(*central_inertia(chain.inertial[k]))
@@ -56,19 +53,15 @@ def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
     spec.compiler.degree = False
     spec.compiler.balanceinertia = False
     parent = spec.worldbody
+    turn, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     for k, name in enumerate(chain.joints):
         body = parent.add_body(name=name, pos=chain.translation[k])
         body.quat = Rotation.from_matrix(chain.rotation[k]).as_quat(scalar_first=True)
         _set_inertia(body, chain.inertial[k], name)
-        kind = (
-            mujoco.mjtJoint.mjJNT_HINGE
-            if chain.revolute[k]
-            else mujoco.mjtJoint.mjJNT_SLIDE
-        )
+        kind = turn if chain.revolute[k] else slide
         joint = body.add_joint(name=name, type=kind, axis=chain.axis[k])
         joint.armature = chain.armature[k]
-        friction = robot.damping[k], robot.quadratic[k], robot.cubic[k]
-        joint.damping = np.array(friction)
+        joint.damping = np.array([robot.damping[k], robot.quadratic[k], robot.cubic[k]])
         joint.frictionloss = robot.frictionloss[k]
         joint.stiffness = np.array([robot.stiffness[k], 0, 0])
         joint.springref = robot.springref[k]
@@ -117,9 +110,9 @@ def add_motors(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Add motors and limits to a spec without actuators."""
     for k, name in enumerate(robot.joints):
         joint = spec.joint(name)
-        if np.isfinite([robot.q_min[k], robot.q_max[k]]).all():
-            joint.limited = 1
-            joint.range = np.array([robot.q_min[k], robot.q_max[k]])
+        ends = np.array([robot.q_min[k], robot.q_max[k]])
+        if np.isfinite(ends).all():
+            joint.limited, joint.range = 1, ends
         if np.isfinite(robot.tau_max[k]):
             joint.actfrclimited = 1
             joint.actfrcrange = np.array([-1.0, 1.0]) * robot.tau_max[k]

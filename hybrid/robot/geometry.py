@@ -74,7 +74,7 @@ def capsules_from_robot(robot: Robot) -> Capsules:
     if not set(robot.joints) <= set(tree.parents):
         raise RobotError(f"{path.name} has not all joints of {robot.name}")
     places, _ = tree.places(robot.joints, robot.held)
-    where = {n.body: place for n, place in zip(tree.nodes, places, strict=True)}
+    where = {node.body: place for node, place in places}
     found = []
     for body, points, extra, name in pieces:
         k, R, p = where[body]

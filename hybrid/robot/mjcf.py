@@ -4,7 +4,7 @@ MuJoCo itself compiles the file, so that defaults, includes, angle units and ine
 from geometry are exactly those of MuJoCo.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,15 +39,14 @@ def fields_of_mujoco(
     MJCF has no velocity and acceleration limits. They are read from the custom numerics
     ``velocity_limit`` and ``acceleration_limit``, with one value per joint.
     """
-    names, tree = joint_names(model), mujoco_tree(model, where)
+    tree = mujoco_tree(model, where)
     keep = serial_joints(tree, joints, held)
-    index = [names.index(name) for name in keep]
+    index = joint_numbers(model, keep)
     low, high = model.jnt_range[index].T
     limited = model.jnt_limited[index].astype(bool)
     kp, kd = servo_gains(model)
     places, _ = tree.places(keep, held)
-    bodies = [n.body for n, p in zip(tree.nodes, places, strict=True) if p.link >= 0]
-    moved = [body for body in bodies if body is not None]
+    moved = [n.body for n, p in places if p.link >= 0 and n.body is not None]
     for body in moved:
         if body in missing_inertia:
             raise RobotError(
@@ -84,12 +83,10 @@ def joint_names(model: Any) -> list[str]:
     return [model.joint(j).name or f"joint_{j + 1}" for j in range(model.njnt)]
 
 
-def start(model: Any, held: Mapping[str, float]) -> np.ndarray:
-    """Initial position of the model with some joints held elsewhere, shape (nq,)."""
-    q, names = model.qpos0.copy(), joint_names(model)
-    for name, position in held.items():
-        q[model.jnt_qposadr[names.index(name)]] = position
-    return np.asarray(q)
+def joint_numbers(model: Any, joints: Iterable[str]) -> list[int]:
+    """Numbers of joints in the model."""
+    names = joint_names(model)
+    return [names.index(name) for name in joints]
 
 
 def _passive(model: Any, index: list[int]) -> dict[str, Any]:
@@ -102,18 +99,17 @@ def _passive(model: Any, index: list[int]) -> dict[str, Any]:
     quadratic, cubic = damper * model.dof_dampingpoly[dofs].T
     level, slope = dry * model.dof_frictionloss[dofs], knee_slope(model)[dofs]
     soft = (level > 0) & np.isfinite(slope)
-    other = np.zeros(model.nv)  # dry friction of tendons and passive motors
+    other = np.zeros(len(index))  # dry friction of tendons and passive motors
     for t, own, ratio in sum_tendons(model):
-        if len(own) == 1:
-            dof = model.jnt_dofadr[own[0]]
-            other[dof] += dry * ratio * model.tendon_frictionloss[t]
+        if len(own) == 1 and own[0] in index:
+            other[index.index(own[0])] += dry * ratio * model.tendon_frictionloss[t]
     for j, sliding, *_ in bristles(model, index):
-        other[dofs[int(j)]] += sliding
+        other[int(j)] += sliding
     return {
         "damping": damper * damping[dofs],
         "quadratic": quadratic,
         "cubic": cubic,
-        "frictionloss": np.where(soft, 0.0, level) + other[dofs],
+        "frictionloss": np.where(soft, 0.0, level) + other,
         "knee": np.where(soft, level, 0.0),
         "knee_speed": np.where(soft, level / slope, 0.0),
         "stiffness": spring * model.jnt_stiffness[index],
@@ -175,8 +171,7 @@ def mujoco_tree(model: Any, where: str | Path) -> Tree:
     for body in range(1, model.nbody):
         parent = last[int(model.body_parentid[body])]
         R, p = matrix(model.body_quat[body]), model.body_pos[body]
-        first = int(model.body_jntadr[body])
-        for joint in range(first, first + int(model.body_jntnum[body])):
+        for joint in np.flatnonzero(model.jnt_bodyid == body).tolist():
             kind, offset = int(model.jnt_type[joint]), np.zeros(3)
             own: dict[str, Any] = {"kind": _KINDS.get(kind, "")}
             if kind not in _KINDS:

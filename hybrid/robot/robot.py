@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -282,9 +282,7 @@ class Robot:
         return {
             "name": self.name,
             "path": Path(self.path).name,
-            "chain": {
-                f.name: plain(getattr(self.chain, f.name)) for f in fields(Chain)
-            },
+            "chain": plain(vars(self.chain)),
             **{name: plain(getattr(self, name)) for name in _VECTORS},
             **{name: getattr(self, name).tolist() for name in _ROWS},
             "timestep": None if np.isnan(self.timestep) else self.timestep,
@@ -336,9 +334,7 @@ class Robot:
 
 def _numbers(name: str, values: Any, *, none: float | None = None) -> Array:
     """Convert lists of numbers to an array; ``none`` replaces ``None``."""
-    found = np.array(values)
-    if none is not None:
-        found = np.array([none if x is None else x for x in values])
+    found = np.array([none if x is None else x for x in values])
     if found.dtype.kind not in "if":
         raise RobotError(f"{name} holds more than numbers")
     return found.astype(float)

@@ -142,18 +142,18 @@ class Tree:
 
     def places(
         self, joints: Sequence[str], held: Mapping[str, float]
-    ) -> tuple[list[Place], list[Place]]:
-        """Place of each node in the arm, and of each joint's frame in the link before.
+    ) -> tuple[list[tuple[Node, Place]], list[Place]]:
+        """Nodes with their places, and places of joints' frames in the link before.
 
         The arm's joints are given base to tip, and the positions of the others if they
         differ from the file.
         """
-        places: list[Place] = []
+        places: list[tuple[Node, Place]] = []
         frames: list[Place] = []
         for node in self.nodes:
             link, R, p = Place(_BASE, np.eye(3), np.zeros(3))
             if node.parent >= 0:
-                link, R, p = places[node.parent]
+                _, (link, R, p) = places[node.parent]
             p, R = p + R @ node.translation, R @ node.rotation
             at = held.get(node.joint, node.home)
             if node.joint in joints:
@@ -163,7 +163,7 @@ class Tree:
                 R = R @ Rotation.from_rotvec(at * node.axis).as_matrix()
             elif node.joint:
                 p = p + at * (R @ node.axis)
-            places.append(Place(link, R, p))
+            places.append((node, Place(link, R, p)))
         return places, frames
 
     def chain(
@@ -177,7 +177,7 @@ class Tree:
         places, frames = self.places(joints, held)
         inertial = np.zeros((len(joints), 10))
         names: dict[int, str] = {}  # of links with a body
-        for node, place in zip(self.nodes, places, strict=True):
+        for node, place in places:
             if place.link >= 0 and node.body is not None:
                 inertial[place.link] += place.inertial(node)
                 names.setdefault(place.link, node.name)
@@ -279,17 +279,14 @@ def _longest_chain(tree: Tree) -> tuple[str, ...]:
             f"{tree.where}: no movable joint of an arm; valid are joints that turn or "
             f"slide along one axis{''.join(others[:1])}"
         )
-    children: dict[str | None, list[str]] = {}
-    for name, parent in tree.parents.items():
-        children.setdefault(parent, []).append(name)
-
-    depth: dict[str, int] = {}  # length of the longest chain from each joint
-    for name in reversed(list(tree.parents)):  # children before parents
-        below = [depth[child] for child in children.get(name, [])]
-        depth[name] = (name not in tree.kinds) + max(below, default=0)
-
+    children: dict[str | None, list[str]] = {None: [], **{x: [] for x in tree.parents}}
+    depth = dict.fromkeys(children, 0)  # length of the longest chain from each joint
+    for name, parent in reversed(list(tree.parents.items())):  # children first
+        depth[name] += name not in tree.kinds
+        depth[parent] = max(depth[parent], depth[name])
+        children[parent].insert(0, name)
     chain: list[str] = []
-    here = children.get(None, [])
+    here = children[None]
     while here:
         depths = [depth[name] for name in here]
         if depths.count(deepest := max(depths)) > 1 and deepest <= len(chain):
@@ -297,7 +294,7 @@ def _longest_chain(tree: Tree) -> tuple[str, ...]:
         name = here[depths.index(deepest)]
         if name not in tree.kinds:
             chain.append(name)
-        here = children.get(name, [])
+        here = children[name]
     while len(chain) > 1 and chain[-1] in tree.leaders.values():
         chain.pop()
     return tuple(chain)
@@ -311,12 +308,10 @@ def _chosen_chain(tree: Tree, joints: tuple[str, ...]) -> tuple[str, ...]:
             f"{tree.where}: no joint {', '.join(unknown) or 'chosen'}"
             f"{''.join(kinds)}; valid are {', '.join(tree.free)}"
         )
-    lines = {name: tree.line(name, tree.parents) for name in joints}
-    tip = max(joints, key=lambda name: len(lines[name]))
-    elsewhere = [name for name in joints if name not in lines[tip]]
-    if elsewhere:
+    line = max((tree.line(name, tree.parents) for name in joints), key=len)
+    if elsewhere := [name for name in joints if name not in line]:
         raise RobotError(
             f"{tree.where}: joints {', '.join(elsewhere)} are not on the way "
-            f"to {tip!r}; the joints of one serial arm are needed"
+            f"to {line[-1]!r}; the joints of one serial arm are needed"
         )
-    return tuple(name for name in lines[tip] if name in joints)
+    return tuple(name for name in line if name in joints)

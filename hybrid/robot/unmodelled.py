@@ -16,7 +16,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
-from hybrid.robot.mjcf import joint_names, start, sum_tendons
+from hybrid.robot.mjcf import joint_numbers, sum_tendons
 
 if TYPE_CHECKING:
     from hybrid.robot.robot import Robot
@@ -41,8 +41,8 @@ def check_modelled(robot: Robot, model: Any) -> None:
     off = mujoco.mjtDisableBit
     model.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
     model.dof_frictionloss[:] = 0.0
-    names, home = joint_names(model), start(model, robot.held)
-    index = [names.index(name) for name in robot.joints]
+    index, home = joint_numbers(model, robot.joints), model.qpos0.copy()
+    home[model.jnt_qposadr[joint_numbers(model, robot.held)]] = [*robot.held.values()]
     sums = [t for t, own, _ in sum_tendons(model) if {*own} <= {*index}]
     model.tendon_frictionloss[sums] = 0.0
     states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, robot.size))

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from hybrid.arrays import Array
 from hybrid.errors import RobotError
 from hybrid.names import printable
+from hybrid.robot.spatial import INERTIA
 from hybrid.robot.tree import Node, Tree, serial_joints
 
 # Types of joints in URDF; those that an arm cannot have are named for messages.
@@ -106,12 +107,12 @@ def urdf_tree(root: Element, where: str | Path) -> Tree:
     if len(roots) != 1:
         shown = ", ".join(map(repr, sorted(roots))) or "none"
         raise RobotError(f"links without a parent: {shown}; valid is one")
-    nodes = [_node(-1, None, links[roots.pop()])]
-    todo = [(0, *x) for x in reversed(below[nodes[0].name])]
+    nodes: list[Node] = []
+    todo: list[tuple[int, Element | None, str]] = [(-1, None, roots.pop())]
     while todo:
-        parent_node, joint, child = todo.pop()
-        nodes.append(_node(parent_node, joint, links[child]))
-        todo += [(len(nodes) - 1, *x) for x in reversed(below[child])]
+        before, moved_by, name = todo.pop()
+        nodes.append(_node(before, moved_by, links[name]))
+        todo += [(len(nodes) - 1, *x) for x in reversed(below[name])]
     if len(nodes) < len(links):
         reached = {node.name for node in nodes}
         looped = next(name for name in links if name not in reached)
@@ -130,12 +131,9 @@ def _node(parent: int, joint: Element | None, link: Element) -> Node:
     if inertial is not None:
         R, own["center"] = origin(inertial)
         own["mass"] = number(inertial, "mass", "value", math.nan)
-        names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        xx, xy, xz, yy, yz, zz = (
-            number(inertial, "inertia", x, math.nan) for x in names
-        )
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        own["inertia"] = R @ inertia @ R.T
+        names = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+        six = np.array([number(inertial, "inertia", x, math.nan) for x in names])
+        own["inertia"] = R @ six[INERTIA - 4] @ R.T
     return Node(**own)
 
 

@@ -25,7 +25,7 @@ def changed_bodies(tree: Tree, old: Robot, new: Robot) -> Iterator[tuple[Any, Bo
     """
     places, _ = tree.places(old.joints, old.held)
     members: list[list[tuple[Any, Place, np.ndarray]]] = [[] for _ in new.joints]
-    for node, place in zip(tree.nodes, places, strict=True):
+    for node, place in places:
         if place.link >= 0 and node.body is not None:
             members[place.link].append((node.body, place, place.inertial(node)))
     for k, goal in enumerate(new.chain.inertial):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
+from operator import add, mul
 from typing import TYPE_CHECKING, Any
 
 from hybrid.robot.robot import Robot
@@ -12,6 +13,11 @@ from hybrid.robot.robot import Robot
 if TYPE_CHECKING:
     import mujoco
 
+# Changes of an actuator -> how two of one kind combine.
+_BOTH: Mapping[str, Callable[[float, float], float]] = {
+    "gain": mul, "lag": add, "limit": min, "latency": add, "stiffness": mul,
+    "damping": mul,
+}  # fmt: skip
 Structure = Callable[["mujoco.MjSpec", Sequence[str]], Any]
 
 
@@ -37,16 +43,8 @@ class Actuator:
 
     def and_then(self, other: Mapping[str, float]) -> Actuator:
         """Combine with further changes, given by name."""
-        new = {}
-        for name, x in other.items():
-            own = getattr(self, name)
-            if name == "limit":
-                new[name] = min(own, x)
-            elif name in ("gain", "stiffness", "damping"):
-                new[name] = own * x
-            else:
-                new[name] = own + x
-        return replace(self, **new)
+        both = {name: (getattr(self, name), x) for name, x in other.items()}
+        return replace(self, **{name: _BOTH[name](*x) for name, x in both.items()})
 
 
 @dataclass(frozen=True)

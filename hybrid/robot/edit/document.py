@@ -61,20 +61,18 @@ class Document:
         for x in markup(text, where):
             self._pieces += [text[at : x.start], text[x.start : x.end]]
             at, place = x.end, len(self._pieces) - 1
-            if x.closes:
-                if not opened or opened[-1].path[-1] != x.name:
-                    raise RobotError(
-                        f"{where}: not readable XML (</{x.name}> closes no element)"
-                    )
-                self._ends[opened.pop()] = place
-                continue
-            around = opened[-1] if opened else None
-            path = (*(around.path if around else ()), x.name)
-            self.tags.append(Tag(path, around, place, x.attributes))
-            opened.append(self.tags[-1])
-            if x.empty:
-                self._pieces += ["", ""]
-                self._ends[opened.pop()] = place + 2
+            if not x.closes:
+                around = opened[-1] if opened else None
+                path = (*(around.path if around else ()), x.name)
+                self.tags.append(Tag(path, around, place, x.attributes))
+                opened.append(self.tags[-1])
+                self._pieces += ["", ""] if x.empty else []
+            elif not opened or opened[-1].path[-1] != x.name:
+                raise RobotError(
+                    f"{where}: not readable XML (</{x.name}> closes no element)"
+                )
+            if x.closes or x.empty:
+                self._ends[opened.pop()] = len(self._pieces) - 1
         self._pieces.append(text[at:])
         if opened or not self.tags:
             raise RobotError(f"{where}: not readable XML (it ends too early)")

@@ -10,7 +10,7 @@ import numpy as np
 from hybrid.robot.actuators import motors_of
 from hybrid.robot.edit.change import Actuator
 from hybrid.robot.edit.document import Document, Tag
-from hybrid.robot.mjcf import joint_names
+from hybrid.robot.mjcf import joint_numbers
 
 KINDS = (
     "general", "motor", "position", "velocity", "intvelocity", "damper", "dcmotor",
@@ -31,10 +31,9 @@ def edit_drives(
     Returns:
         Changes that the file cannot express, in words.
     """
-    numbers, notes = joint_names(model), []
+    numbers, notes = joint_numbers(model, joints), list[str]()
     for j, new in drives.items():
-        joint = numbers.index(joints[j])
-        own = [(a, gear) for a, at, gear in motors_of(model) if at == joint]
+        own = [(a, gear) for a, at, gear in motors_of(model) if at == numbers[j]]
         found = actuator_tags(document, joints[j])
         if len(own) != len(found) or not own:
             notes.append(f"drive of {joints[j]}, which has no actuator in the file")
@@ -58,12 +57,7 @@ def actuator_tags(document: Document, joint: str) -> list[Tag]:
 
 
 def _edit(
-    document: Document,
-    model: Any,
-    a: int,
-    gear: float,
-    tag: Tag,
-    new: Actuator,
+    document: Document, model: Any, a: int, gear: float, tag: Tag, new: Actuator
 ) -> Iterator[str]:
     """Change one actuator; yield the changes that it cannot express."""
     if new.latency:

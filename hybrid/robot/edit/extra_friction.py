@@ -9,7 +9,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.robot.actuators import bristles, motors_of
 from hybrid.robot.edit.document import Document, Tag, element, joint_tag, model_of
-from hybrid.robot.mjcf import joint_names
+from hybrid.robot.mjcf import joint_numbers
 from hybrid.robot.robot import Robot
 
 _FORCES = "armature", "damping", "frictionloss"  # of a tendon
@@ -83,7 +83,7 @@ def set_passive_motors(document: Document, model: Any, old: Robot, new: Robot) -
     inertia at the joint. Their force vanishes when they slide. They need no damping,
     because the dry friction of the joint stops it.
     """
-    if not _motors_differ(old, new) and not replaced_friction(model, old, new).any():
+    if not (_motors_differ(old, new) or replaced_friction(model, old, new).any()):
         return
     frequency = _PHASE / model.opt.timestep  # rad/s
     stiffness = frequency**2 * _least_inertia(document, old, new)
@@ -117,12 +117,9 @@ def _insert_motor(
 
 def _set_keyframe_bristles(document: Document, model: Any, new: Robot) -> None:
     """Replace the deflections of old bristles in keyframes by zeros for new ones."""
-    names = joint_names(model)
-    removed = {
-        int(model.actuator_actadr[a])
-        for a, joint, _ in motors_of(model, driven=False)
-        if names[joint] in new.joints
-    }
+    joints = joint_numbers(model, new.joints)
+    passive = motors_of(model, driven=False)
+    removed = {int(model.actuator_actadr[a]) for a, j, _ in passive if j in joints}
     for tag in document.find("keyframe", "key"):
         if "act" in tag.attributes:
             words = enumerate(tag.attributes["act"].split())
@@ -131,13 +128,13 @@ def _set_keyframe_bristles(document: Document, model: Any, new: Robot) -> None:
 
 
 def _motors_differ(old: Robot, new: Robot) -> bool:
-    pairs = (old.ripple, new.ripple), (old.falling, new.falling)
-    return not all(np.array_equal(x, y) for x, y in pairs)
+    same = np.array_equal(old.ripple, new.ripple)
+    return not (same and np.array_equal(old.falling, new.falling))
 
 
 def replaced_friction(model: Any, old: Robot, new: Robot) -> Array:
     """Sliding friction of motors that are replaced, shape (n,), [N·m]."""
-    index, found = [joint_names(model).index(x) for x in new.joints], np.zeros(new.size)
+    index, found = joint_numbers(model, new.joints), np.zeros(new.size)
     if _motors_differ(old, new) or (old.frictionloss != new.frictionloss).any():
         for j, level, *_ in bristles(model, index):
             found[int(j)] += level
@@ -150,7 +147,7 @@ def _least_inertia(document: Document, old: Robot, new: Robot) -> Array:
     It is torque per acceleration, with all other joints free.
     """
     model = model_of(document, old)
-    index = [joint_names(model).index(x) for x in new.joints]
+    index = joint_numbers(model, new.joints)
     at, dofs = model.jnt_qposadr[index], model.jnt_dofadr[index]
     low, high = np.maximum(new.q_min, -np.pi), np.minimum(new.q_max, np.pi)
     rng = np.random.default_rng(0)
@@ -177,7 +174,7 @@ def set_knee_friction(document: Document, step: float, old: Robot, new: Robot) -
     if not new.knee.any() or (after == before).all():
         return
     model = model_of(document, old)
-    dofs = model.jnt_dofadr[[joint_names(model).index(x) for x in new.joints]]
+    dofs = model.jnt_dofadr[joint_numbers(model, new.joints)]
     mobility = model.dof_invweight0[dofs]  # acceleration per torque, 1/(kg·m²)
     for j in np.flatnonzero(new.knee):
         slope = new.knee[j] / new.knee_speed[j]

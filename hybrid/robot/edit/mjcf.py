@@ -29,7 +29,7 @@ from hybrid.robot.edit.extra_friction import (
     set_passive_motors,
     set_tendon,
 )
-from hybrid.robot.mjcf import joint_names, mujoco_tree
+from hybrid.robot.mjcf import joint_numbers, mujoco_tree
 from hybrid.robot.robot import Robot
 from hybrid.robot.tree import Body
 
@@ -140,7 +140,7 @@ def _joint(
 ) -> None:
     """Change rotor, friction and spring of a joint, also if its motors are replaced."""
     name, step, given = new.joints[j], model.opt.timestep, dict[str, Any]()
-    dof = model.jnt_dofadr[joint_names(model).index(name)]
+    (dof,) = model.jnt_dofadr[joint_numbers(model, [name])]
     of_drives = {x: through_gears(model, x)[dof] for x in ("armature", "damping")}
 
     def changed(*fields: str) -> bool:
@@ -180,12 +180,12 @@ def _structure(
     for add in structure:
         add(spec, robot.joints)
     after = ElementTree.fromstring(spec_text(spec))
-    names, added = joint_names(model), []
+    added: list[int] = []  # joints with one more behind them
     for body in after.iter("body"):
         joints = body.findall("joint")
         for own in joints[1:]:
             name = joints[0].get("name", "")
-            tag, j = joint_tag(document, name), names.index(name)
+            tag, (j,) = joint_tag(document, name), joint_numbers(model, [name])
             unit = turn_unit(document, own.get("type") == "slide")
             given = {**_DEFAULTS, **own.attrib, "pos": model.jnt_pos[j]}
             for key in ("range", "ref", "springref"):

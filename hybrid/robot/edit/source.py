@@ -8,7 +8,9 @@ from hybrid.errors import HybridWarning, RobotError
 from hybrid.robot.build import add_motors, mjcf_skeleton, spec_text
 from hybrid.robot.edit.document import Document, spec_of
 from hybrid.robot.edit.urdf_from_mjcf import urdf_from_mjcf
-from hybrid.robot.read import URDF, read_robot
+from hybrid.robot.mjcf import fields_of_mujoco
+from hybrid.robot.mujoco_model import compile_spec
+from hybrid.robot.read import URDF
 from hybrid.robot.robot import Robot
 from hybrid.robot.urdf import read_urdf
 
@@ -69,12 +71,9 @@ def read(document: Document, robot: Robot, kind: str) -> Robot:
             content, where = document.edited(), document.where
             fields = read_urdf(content, where, robot.joints, dict(robot.held))
             return Robot(**fields, path=robot.path)
-        spec = spec_of(document, robot)
-        try:
-            fields, _ = read_robot(spec, robot.joints, robot.held)
-        except RobotError as error:
-            raise RobotError(str(error).replace("MjSpec", robot.path, 1)) from error
-        return replace(Robot(**fields), name=robot.name, path=robot.path)
+        model, missing = compile_spec(spec_of(document, robot), robot.path)
+        fields = fields_of_mujoco(model, robot.path, robot.joints, robot.held, missing)
+        return Robot(**{**fields, "name": robot.name, "path": robot.path})
 
 
 def _converted(robot: Robot) -> str:

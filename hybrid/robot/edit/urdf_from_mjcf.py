@@ -12,7 +12,7 @@ from hybrid.errors import RobotError
 from hybrid.robot.build import mjcf_skeleton
 from hybrid.robot.edit.document import element, text_of
 from hybrid.robot.edit.urdf import DRAKE, inertial_text
-from hybrid.robot.mjcf import joint_names, matrix, mujoco_tree
+from hybrid.robot.mjcf import joint_numbers, matrix, mujoco_tree
 from hybrid.robot.mujoco_model import compile_spec, spec_from_file
 from hybrid.robot.robot import Robot
 from hybrid.robot.tree import Node
@@ -65,8 +65,8 @@ class _Writer:
         head = element("robot", {"name": self.robot.name, **DRAKE})
         lines = [head.replace("/>", ">"), *self.links, *self.joints]
         counts = {word: getattr(self.model, n) for n, word in _MISSING.items()}
-        counts = {word: n for word, n in {**counts, **self.missing}.items() if n}
-        listed = ", ".join(f"{word} ({n})" for word, n in counts.items())
+        counts |= self.missing
+        listed = ", ".join(f"{word} ({n})" for word, n in counts.items() if n)
         notes = (f"{listed} of the MJCF file",) if listed else ()
         return "\n".join([*lines, "</robot>", ""]), notes
 
@@ -78,18 +78,15 @@ class _Writer:
             self._joint(joint, joint.joint, link)
             if link != name:
                 self.links.append(f'  <link name="{text_of(link)}"/>')
-        if joints:  # the last link has the frame of its joint
+        if joints or body.parent < 0:  # the last link has the frame of its joint
             self.frames.append((name, body.translation))
-        elif body.parent < 0:
-            self.frames.append((name, np.zeros(3)))
         else:
             self._joint(body, f"{name}_fixed", name)
         shift = self.frames[-1][1]
         inner = []
         if body.mass > 0:
             inner = [inertial_text(body.mass, shift + body.center, body.inertia)]
-        start = int(self.model.body_geomadr[body.body])
-        for g in range(start, start + int(self.model.body_geomnum[body.body])):
+        for g in np.flatnonzero(self.model.geom_bodyid == body.body).tolist():
             inner += self._geom(g, shift)
         text = "".join(f"\n    {x}" for x in inner)
         self.links.append(f'  <link name="{text_of(name)}">{text}\n  </link>')
@@ -116,7 +113,7 @@ class _Writer:
                 f"{robot.path}: joint {name!r} is free or a ball, which URDF does not "
                 "have; valid are hinge and slide"
             )
-        joint = joint_names(model).index(name)
+        (joint,) = joint_numbers(model, [name])
         limited, dof = bool(model.jnt_limited[joint]), model.jnt_dofadr[joint]
         turns = "revolute" if limited else "continuous"
         limits = {"effort": UNLIMITED, "velocity": UNLIMITED}
