@@ -23,7 +23,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from hybrid.cli.shared.options import read_logs
 from hybrid.cli.shared.screen import Screen
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import HybridError, HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, recording_from_table
 from hybrid.recording.formats.lerobot import read_parquet_or_episodes
 from hybrid.recording.formats.mat_elements import check_elements
@@ -353,7 +353,7 @@ def test_the_command_line_takes_a_map(tmp_path):
 def test_a_library_that_is_not_there_is_named(tmp_path, monkeypatch):
     (tmp_path / "a.h5").write_bytes(b"x")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(RecordingError, match=r"pip install 'hybrid-arm\[hdf5\]'$"):
+    with pytest.raises(HybridError, match=r"pip install 'hybrid-arm\[hdf5\]'$"):
         read(tmp_path / "a.h5")
 
 

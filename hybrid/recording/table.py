@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from hybrid.arrays import AnyArray
-from hybrid.errors import RecordingError
+from hybrid.errors import HybridError, RecordingError
 from hybrid.names import printable
 
 LARGEST_FILE = 4 << 30  # bytes; an hour at 1 kHz of 50 joints is less
@@ -61,7 +61,7 @@ def as_recording_error(source: object, kind: str) -> Iterator[None]:
     """Turn any exception of a library that reads a damaged file into one line."""
     try:
         yield
-    except RecordingError:
+    except HybridError:
         raise
     except Exception as error:  # libraries raise any type for a damaged file
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -33,7 +33,7 @@ def table_of_arrays(
     load: Get = get or (lambda _: arrays)
     named = [k for k in NAMES if k in arrays and arrays[k].dtype.kind in "SUO"]
     names = _texts(load(named)[named[0]]) if named else None
-    layout: list[tuple[str, str, int | None]] = []  # label, array, column of it
+    layout: list[tuple[str, str, Any]] = []  # label, array, index of the column in it
     for label, x in arrays.items():
         if label in named:
             continue
@@ -41,17 +41,14 @@ def table_of_arrays(
         if timed or parse_label(label).channel:
             check_numbers(x, label, source, timed=timed, most_axes=2)
         if is_time(label) or x.ndim != 2:
-            layout.append((label, label, None))
+            layout.append((label, label, ()))
         else:
             columns = _labels(label, x.shape[1], names, source)
-            layout += [(column, label, k) for k, column in enumerate(columns)]
+            layout += [(name, label, (..., k)) for k, name in enumerate(columns)]
 
     def blocks(used: tuple[int, ...]) -> list[dict[int, AnyArray]]:
-        fields, columns = load(dict.fromkeys(layout[k][1] for k in used)), {}
-        for k in used:
-            _, label, place = layout[k]
-            columns[k] = fields[label] if place is None else fields[label][:, place]
-        return [columns]
+        fields = load(dict.fromkeys(layout[k][1] for k in used))
+        return [{k: fields[layout[k][1]][layout[k][2]] for k in used}]
 
     labels = tuple(label for label, _, _ in layout)
     return LogTable(source, labels, blocks, joints=names, **more)

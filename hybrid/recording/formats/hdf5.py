@@ -11,6 +11,7 @@ import numpy as np
 
 from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
+from hybrid.extras import check_extra
 from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.labels import is_time, parse_label, split_unit
 from hybrid.recording.table import (
@@ -52,12 +53,9 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
 
 def arrays_of(path: Path) -> tuple[dict[str, AnyArray], float]:
     """Read all arrays of a file by path, and the rate that robomimic states, [Hz]."""
-    try:
-        import h5py
-    except ImportError as error:
-        raise RecordingError(
-            f"{path}: HDF5 is read by h5py; install it: pip install 'hybrid-arm[hdf5]'"
-        ) from error
+    check_extra("h5py", "hdf5", f"{path}: HDF5")
+    import h5py
+
     with as_recording_error(path, "HDF5 file"):
         _check_heaps(path)
         with h5py.File(path, "r") as file:

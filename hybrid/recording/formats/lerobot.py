@@ -15,12 +15,7 @@ import numpy as np
 from hybrid.errors import RecordingError
 from hybrid.files import read_json
 from hybrid.recording.formats.frame import table_of_frame
-from hybrid.recording.formats.parquet import (
-    arrow_table,
-    check_parquet,
-    column_names,
-    read_parquet,
-)
+from hybrid.recording.formats.parquet import arrow_table, check_parquet
 from hybrid.recording.table import LogTable
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
@@ -43,9 +38,10 @@ def read_parquet_or_episodes(path: Path) -> Iterable[tuple[LogTable]]:
     folders = [x for x in above if x / "data" in above and is_dataset(x)]
     if folders:
         return read_lerobot(folders[0], path)
-    check_parquet(path)
-    episodes = {_EPISODE, "timestamp"} <= {*column_names(path)}
-    return ((x,) for x in _episodes(path)) if episodes else read_parquet(path)
+    table = arrow_table(path)
+    if {_EPISODE, "timestamp"} <= {*table.column_names}:
+        return ((x,) for x in _episodes(path))
+    return [(table_of_frame(table, str(path), kind="Parquet"),)]
 
 
 def read_lerobot(folder: Path, only: Path | None = None) -> Iterator[tuple[LogTable]]:
@@ -72,8 +68,7 @@ def read_lerobot(folder: Path, only: Path | None = None) -> Iterator[tuple[LogTa
 
 def _episodes(file: Path) -> Iterator[LogTable]:
     table = arrow_table(file, ("timestamp", _EPISODE, "observation", "action"))
-    images = [name for name in table.column_names if "image" in name]
-    table = table.drop_columns(images)
+    table = table.drop_columns([x for x in table.column_names if "image" in x])
     if _EPISODE not in table.column_names or not len(table):
         raise RecordingError(f"{file}: no rows, or no {_EPISODE}")
     index = np.asarray(table[_EPISODE])

@@ -5,13 +5,7 @@ from typing import Any
 
 from hybrid.errors import RecordingError
 from hybrid.extras import check_extra
-from hybrid.recording.formats.frame import table_of_frame
-from hybrid.recording.table import (
-    LARGEST_FILE,
-    MOST_COLUMNS,
-    LogTable,
-    as_recording_error,
-)
+from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, as_recording_error
 
 
 def check_parquet(path: Path) -> None:
@@ -19,30 +13,14 @@ def check_parquet(path: Path) -> None:
     check_extra("pyarrow", "parquet", f"{path}: Parquet")
 
 
-def read_parquet(path: Path) -> list[tuple[LogTable]]:
-    """Read a table with a column for each channel of each joint, or with lists."""
-    check_parquet(path)
-    return [(table_of_frame(arrow_table(path), str(path), kind="Parquet"),)]
-
-
-def column_names(path: Path) -> list[str]:
-    """Names of a file's columns."""
-    from pyarrow import parquet
-
-    with as_recording_error(path, "Parquet file"):
-        return list(parquet.read_schema(path).names)
-
-
 def arrow_table(path: Path, begin: tuple[str, ...] = ("",)) -> Any:
-    """Read the columns of numbers, dates, texts and their lists.
+    """Read a table of pyarrow: numbers, dates, texts and their lists.
 
     Args:
         path: The file.
         begin: Beginnings of the names of the columns to read.
-
-    Returns:
-        A table of pyarrow.
     """
+    check_parquet(path)
     from pyarrow import parquet, types
 
     left_out = types.is_binary, types.is_large_binary, types.is_struct

@@ -13,6 +13,7 @@ from hybrid.errors import HybridError, RecordingError, warn
 from hybrid.files import read_yaml
 from hybrid.names import printable
 from hybrid.progress import Progress
+from hybrid.recording.formats.cdr import LIST, MESSAGE
 from hybrid.recording.formats.topic import Topic
 from hybrid.recording.table import LogTable, NoJointsError, as_recording_error
 
@@ -71,15 +72,16 @@ def _topics(connections: Any, ros2: bool, source: str) -> dict[Any, Topic]:
     for c in connections:
         try:
             types = {**known, **_defined(c)}
+            if c.msgtype not in types and "msgs/" in c.msgtype:
+                raise ValueError(f"type {c.msgtype} is not defined in the bag")
         except RecursionError:
             continue
         except Exception as error:  # the parser raises any type for a wrong text
-            _warn(source, c.topic, str(error))
+            line = (str(error).splitlines() or [""])[0][:200]
+            warn(f"{source}: left out topic {c.topic}: {line}")
             continue
         if _has_lists(c.msgtype, types, 0):
             topics[c.id, id(c.owner)] = Topic(c.topic, c.msgtype, types, ros2, source)
-        elif c.msgtype not in types and "msgs/" in c.msgtype:
-            _warn(source, c.topic, f"type {c.msgtype} is not defined in the bag")
     return topics
 
 
@@ -97,27 +99,19 @@ def _defined(connection: Any) -> dict[str, Any]:
     return get_types_from_idl("\n".join(lines))
 
 
-def _warn(source: str, topic: str, reason: str) -> None:
-    line = (reason.splitlines() or [""])[0][:200]
-    warn(f"{source}: left out topic {topic}: {line}")
-
-
 def _has_lists(kind: str, types: dict[str, Any], depth: int) -> bool:
     """Tell whether a type has lists of real numbers, but none of bytes (an image)."""
     if kind not in types or depth > _DEEPEST:
         return False
     found = False
     for _, (node, what) in types[kind][1]:
-        element, inner = int(node), what
-        if element > 2:
-            inner_node, inner = what[0]
-            if element == 4 and int(inner_node) == 1:
-                if inner[0] in ("uint8", "int8", "byte", "char"):
-                    return False
-                found |= inner[0] in ("float64", "float32")
-            element = int(inner_node)
-        if element == 2:
-            found |= _has_lists(inner, types, depth + 1)
+        inner, of = what[0] if node > MESSAGE else (node, what)
+        if node == LIST and inner < MESSAGE:
+            if of[0] in ("uint8", "int8", "byte", "char"):
+                return False
+            found |= of[0] in ("float64", "float32")
+        if inner == MESSAGE:
+            found |= _has_lists(of, types, depth + 1)
     return found
 
 

@@ -154,9 +154,9 @@ class Topic:
             names = tuple(
                 text for path, text in layout.texts.items() if path[0] == "joint_names"
             )
-            if joints and names != joints:
+            joints = joints or names
+            if names != joints:
                 continue
-            joints = names
             message = np.frombuffer(raw, np.uint8)[None]
             get = {p: layout.values(message, p)[0] for p in layout.numbers}
             while points and points[-1][0] >= start:
