@@ -25,8 +25,8 @@ from hybrid.cli.shared.options import read_logs
 from hybrid.cli.shared.screen import Screen
 from hybrid.errors import HybridError, HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, recording_from_table
-from hybrid.recording.formats.lerobot import read_parquet_or_episodes
 from hybrid.recording.formats.mat_elements import check_elements
+from hybrid.recording.formats.parquet import read_parquet_or_episodes
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "ur10_bag"
 TEXTS = (*DIALECTS, "gzip", "tab", "other units", "ur_rtde", "ur_rtde, spaces",
@@ -404,12 +404,12 @@ def test_a_matrix_without_rows_may_not_state_any_number_of_columns(tmp_path):
     """22 bytes of version 4: 300 million columns took 41 s and 6 GB to be labelled."""
     path = tmp_path / "log.mat"
     path.write_bytes(struct.pack("<5i", 0, 300_000_000, 0, 0, 2) + b"q\0")
-    with pytest.raises(RecordingError, match="q has 300000000 columns; valid are up"):
+    with pytest.raises(RecordingError, match="q: 300000000 columns; valid are up"):
         read(path)
     with h5py.File(tmp_path / "log.h5", "w") as file:
         file["t"] = np.zeros(0)
         file.create_dataset("q", shape=(0, 300_000_000), dtype="f8")
-    with pytest.raises(RecordingError, match="q has 300000000 columns; valid are up"):
+    with pytest.raises(RecordingError, match="q: 300000000 columns; valid are up"):
         read(tmp_path / "log.h5")
 
 
@@ -448,7 +448,7 @@ def test_a_chunk_that_unpacks_to_more_than_any_log_is_refused(tmp_path):
         at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
     content[at + 25 : at + 33] = (1 << 40).to_bytes(8, "little")
     (tmp_path / "log.mcap").write_bytes(content)
-    with pytest.raises(RecordingError, match="a chunk unpacks to 1.1e.12 bytes"):
+    with pytest.raises(RecordingError, match="1099511627776 bytes of a chunk"):
         read(tmp_path / "log.mcap")
 
 

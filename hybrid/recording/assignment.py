@@ -22,7 +22,7 @@ from hybrid.recording.labels import (
 from hybrid.recording.mapping import Mapping, Source, preset_of
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
-from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError
+from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError, check_most
 from hybrid.recording.units import SI, converted
 
 _HELP = "or say which column is what with --map FILE.yaml, in Python map="
@@ -46,11 +46,7 @@ class Assignment:
         mapping: Mapping,
         torque: bool,
     ) -> None:
-        if len(table.labels) > MOST_COLUMNS:
-            raise RecordingError(
-                f"{table.place}: {len(table.labels)} columns; valid are up to "
-                f"{MOST_COLUMNS}"
-            )
+        check_most(table.place, len(table.labels), "columns", MOST_COLUMNS)
         # One character more than the longest label that may have a meaning.
         labels = tuple(printable(x.strip())[: LONGEST + 1] for x in table.labels)
         self.table, self.labels, self.torque = table, labels, torque

@@ -15,7 +15,7 @@ from hybrid.recording.formats.frame import table_of_frame
 from hybrid.recording.formats.ros import read_ros
 from hybrid.recording.mapping import Map, read_mapping
 from hybrid.recording.recording import Recording
-from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
+from hybrid.recording.table import LogTable, NoJointsError, check_most
 
 
 @typed
@@ -130,10 +130,8 @@ def _logs(path: Path, progress: Progress | None) -> Iterable[tuple[LogTable, ...
         raise RecordingError(f"{path}: {what}; valid are {', '.join(READERS)}")
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
-    if (size := path.stat().st_size) > LARGEST_FILE and kind not in STREAMED:
-        raise RecordingError(
-            f"{path}: {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or less"
-        )
+    if kind not in STREAMED:
+        check_most(path, path.stat().st_size, "bytes")
     reader = (READERS | FOLDERS)[kind]
     return read_ros(path, progress) if reader is read_ros else reader(path)
 

@@ -70,6 +70,12 @@ def as_recording_error(source: object, kind: str) -> Iterator[None]:
         ) from error
 
 
+def check_most(place: object, count: int, what: str, most: int = LARGEST_FILE) -> None:
+    """Refuse more than any log has, before memory is taken for it."""
+    if count > most:
+        raise RecordingError(f"{place}: {count} {what}; valid are up to {most}")
+
+
 def check_numbers(
     x: AnyArray, label: str, place: str, *, timed: bool, most_axes: int = 1
 ) -> None:

@@ -20,7 +20,7 @@ from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import named_labels
 from hybrid.recording.recording import row_words
-from hybrid.recording.table import LARGEST_FILE, LogTable
+from hybrid.recording.table import LARGEST_FILE, LogTable, check_most
 from hybrid.recording.units import fits
 
 DELIMITERS = (",", ";", "\t")
@@ -192,8 +192,7 @@ def _unpacked(path: Path) -> bytes | None:
             content = file.read(LARGEST_FILE + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise RecordingError(f"{path}: not a whole gzip file: {error}") from error
-    if len(content) > LARGEST_FILE:
-        raise RecordingError(f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes")
+    check_most(path, len(content), "bytes, unpacked")
     return content
 
 

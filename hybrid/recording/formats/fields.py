@@ -8,7 +8,7 @@ from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.labels import is_time, parse_label, split_unit
-from hybrid.recording.table import MOST_COLUMNS, LogTable, check_numbers
+from hybrid.recording.table import MOST_COLUMNS, LogTable, check_most, check_numbers
 
 Fields = Mapping[str, AnyArray]  # each of shape (N,) or (N, n)
 NAMES = ("joints", "joint_names")  # labels of arrays that name the joints
@@ -65,14 +65,13 @@ def _labels(
     label: str, count: int, joints: tuple[str, ...] | None, source: str
 ) -> list[str]:
     """Labels of the columns of an array (N, n)."""
-    valid = ""
-    if count > MOST_COLUMNS:  # an array without rows may state any shape
-        valid = f"up to {MOST_COLUMNS}"
-    elif joints is not None and parse_label(label).channel and count != len(joints):
-        valid = f"{len(joints)}, one for each of joints {', '.join(joints)}"
-    if valid:
+    where = f"{source}: {printable(label)}"
+    # An array without rows may state any shape.
+    check_most(where, count, "columns", MOST_COLUMNS)
+    if joints is not None and parse_label(label).channel and count != len(joints):
         raise RecordingError(
-            f"{source}: {printable(label)} has {count} columns; valid are {valid}"
+            f"{where}: {count} columns; valid are {len(joints)}, one for each of "
+            f"joints {', '.join(joints)}"
         )
     word, unit = split_unit(label)
     unit = f" [{unit}]" if unit else ""

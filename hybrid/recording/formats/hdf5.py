@@ -15,16 +15,14 @@ from hybrid.extras import check_extra
 from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.labels import is_time, parse_label, split_unit
 from hybrid.recording.table import (
-    LARGEST_FILE,
     LogTable,
     NoJointsError,
     as_recording_error,
+    check_most,
 )
 
 _HEAP = re.compile(rb"GCOL\x01\0\0\0")
 _HEADER = 16  # bytes of a heap, and of an object in it
-_MOST = 20_000  # groups and arrays in a file
-_DEEPEST = 16  # nesting levels of groups
 _EPISODE = re.compile(
     r"(.*/)?(demo|episode|ep|trajectory|traj|run)_?\d+", re.IGNORECASE
 )
@@ -87,14 +85,11 @@ def _arrays(file: Any, source: str) -> dict[str, AnyArray]:
     def visit(name: str, item: Any) -> None:
         nonlocal seen, size
         seen += 1
-        if seen > _MOST or name.count("/") > _DEEPEST:
-            raise RecordingError(f"{source}: more than {_MOST} groups and arrays")
+        check_most(source, seen, "groups and arrays", 20_000)
+        check_most(source, name.count("/"), "levels of groups", 16)
         if isinstance(item, h5py.Dataset) and _is_read(item):
             size += item.size * item.dtype.itemsize
-            if size > LARGEST_FILE:
-                raise RecordingError(
-                    f"{source}: arrays of more than {LARGEST_FILE:.3g} bytes"
-                )
+            check_most(source, size, "bytes of arrays")
             found[_label_with_unit(name, item)] = item[()]
 
     file.visititems(visit)  # follows no links to other files

@@ -11,7 +11,7 @@ import zlib
 from pathlib import Path
 
 from hybrid.errors import RecordingError
-from hybrid.recording.table import LARGEST_FILE
+from hybrid.recording.table import LARGEST_FILE, check_most
 
 _HEADER = 128  # bytes; the last two give the byte order
 _MATRIX, _COMPRESSED, _LAST = 14, 15, 18  # types of elements; valid are 1 to the last
@@ -39,10 +39,7 @@ def check_elements(path: Path) -> None:
                 room = LARGEST_FILE - total + 1
                 data = zlib.decompressobj().decompress(data, room)
                 total += len(data)
-            if total > LARGEST_FILE:
-                raise RecordingError(
-                    f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes"
-                )
+            check_most(path, total, "bytes, unpacked")
             if kind in (_COMPRESSED, _MATRIX):
                 _check_array(memoryview(data), order, str(path), int(kind == _MATRIX))
 

@@ -10,7 +10,7 @@ import numpy as np
 from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import table_of_arrays
-from hybrid.recording.table import LARGEST_FILE, LogTable, as_recording_error
+from hybrid.recording.table import LogTable, as_recording_error, check_most
 
 _KIND = "NPZ file of plain arrays"
 
@@ -38,11 +38,7 @@ def _shapes(path: Path) -> dict[str, AnyArray]:
             )
     with as_recording_error(path, _KIND), zipfile.ZipFile(path) as archive:
         members = archive.infolist()
-        if (total := sum(x.file_size for x in members)) > LARGEST_FILE:
-            raise RecordingError(
-                f"{path}: unpacks to {total:.3g} bytes; valid are logs of "
-                f"{LARGEST_FILE:.3g} bytes or less"
-            )
+        check_most(path, sum(x.file_size for x in members), "bytes, unpacked")
         return {x.filename.removesuffix(".npy"): _shape(archive, x) for x in members}
 
 

@@ -9,18 +9,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hybrid.errors import HybridError, RecordingError, warn
+from hybrid.errors import HybridError, warn
 from hybrid.files import read_yaml
 from hybrid.names import printable
 from hybrid.progress import Progress
 from hybrid.recording.formats.cdr import LIST, MESSAGE
 from hybrid.recording.formats.topic import Topic
-from hybrid.recording.table import LogTable, NoJointsError, as_recording_error
+from hybrid.recording.table import (
+    LogTable,
+    NoJointsError,
+    as_recording_error,
+    check_most,
+)
 
 _LARGEST_DEFINITION = 200_000  # bytes of text
-_MOST_TOPICS = 10_000
 _DEEPEST = 6  # nesting levels of messages that are searched for lists
-LARGEST_CHUNK = 1 << 30  # bytes, unpacked
+_LARGEST_CHUNK = 1 << 30  # bytes, unpacked
 _PROGRESS_STEP = 20_000  # messages between two progress messages
 
 
@@ -65,8 +69,7 @@ def _topics(connections: Any, ros2: bool, source: str) -> dict[Any, Topic]:
     """Topics to be read, by connection; warn of those with an unknown type."""
     from rosbags.typesys import Stores, get_typestore
 
-    if len(connections) > _MOST_TOPICS:
-        raise RecordingError(f"{source}: {len(connections)} topics")
+    check_most(source, len(connections), "topics", 10_000)
     known = get_typestore(Stores.ROS2_JAZZY if ros2 else Stores.ROS1_NOETIC).fielddefs
     topics: dict[Any, Topic] = {}
     for c in connections:
@@ -129,7 +132,7 @@ def _fill(reader: Any, topics: dict[Any, Topic], name: str, progress: Any) -> No
 
 
 def _check_chunks(file: Path) -> None:
-    """Refuse an MCAP bag with a chunk that unpacks to more than ``LARGEST_CHUNK``.
+    """Refuse an MCAP bag with a chunk that unpacks to more than 1 GiB.
 
     The reader checks the declared size only after unpacking, and zstandard can unpack
     to a thousand times the packed size.
@@ -142,11 +145,7 @@ def _check_chunks(file: Path) -> None:
             if head[0] == 0x06:  # a chunk; packed data follows the compression's name
                 packed = head[49 + _number(head[37:41]) :]
                 unpacked = max(_number(head[25:33]), _frame_size(packed))
-                if unpacked > LARGEST_CHUNK:
-                    raise RecordingError(
-                        f"{file}: a chunk unpacks to {unpacked:.3g} bytes; valid "
-                        f"are {LARGEST_CHUNK:.3g} or less"
-                    )
+                check_most(file, unpacked, "bytes of a chunk, unpacked", _LARGEST_CHUNK)
             at += 9 + _number(head[1:9])
 
 

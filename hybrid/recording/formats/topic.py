@@ -11,11 +11,10 @@ from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.formats.cdr import LayoutError, MessageLayout, Path, layout_of
 from hybrid.recording.formats.stream import Stream
-from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Load, LogTable
+from hybrid.recording.table import MOST_COLUMNS, Load, LogTable, check_most
 
 BATCH = 4096  # messages decoded at once
 _MOST_BYTES = 16 << 20  # of messages that wait to be decoded
-_MOST_LAYOUTS = 200  # of a topic
 _CONTAINERS = ("interface_values", "values")  # of control_msgs/DynamicJointState
 _STAMP: Path = ("header", "stamp", "sec")
 _NANO: Path = ("header", "stamp", "nanosec")
@@ -36,9 +35,8 @@ class Topic:
         self, name: str, kind: str, types: dict[str, Any], ros2: bool, source: str
     ) -> None:
         self.name, self.kind, self.types = printable(name), printable(kind), types
-        self.ros2, self.source = ros2, source
-        self._raw: list[bytes] = []
-        self._stamps: list[int] = []
+        self.ros2, self.source, self._place = ros2, source, f"{source}: {self.name}"
+        self._waiting: list[tuple[int, bytes]] = []
         self._held = self._size = 0
         self._streams: dict[tuple[str, ...], Stream] = {}
         self._layouts: list[tuple[MessageLayout, dict[str, Path]]] = []
@@ -46,16 +44,16 @@ class Topic:
 
     def add(self, stamp: int, raw: bytes) -> None:
         """Add a message and the recorder's time of it, [ns]."""
-        self._raw.append(raw)
-        self._stamps.append(stamp)
+        self._waiting.append((stamp, raw))
         self._held += len(raw)
-        if len(self._raw) >= BATCH or self._held > _MOST_BYTES:
+        if len(self._waiting) >= BATCH or self._held > _MOST_BYTES:
             self.decode()
 
     def decode(self) -> None:
         """Decode the messages that wait."""
-        raws, stamps = self._raw, np.array(self._stamps, dtype=np.int64)
-        self._raw, self._stamps, self._held = [], [], 0
+        raws = [raw for _, raw in self._waiting]
+        stamps = np.array([stamp for stamp, _ in self._waiting], dtype=np.int64)
+        self._waiting, self._held = [], 0
         lengths = np.array([len(raw) for raw in raws])
         for length in np.unique(lengths):
             rows = np.flatnonzero(lengths == length)
@@ -92,21 +90,17 @@ class Topic:
         for layout, columns in self._layouts:
             if layout.length == message.size and layout.fits(message)[0]:
                 return layout, columns
-        if len(self._layouts) >= _MOST_LAYOUTS:
-            raise self._error(f"messages of more than {_MOST_LAYOUTS} kinds")
+        check_most(self._place, len(self._layouts) + 1, "kinds of messages", 200)
         try:
             layout = layout_of(message.tobytes(), self.kind, self.types, ros2=self.ros2)
         except LayoutError as error:
-            raise RecordingError(f"{self.source}: {self.name}: {error}") from error
+            raise RecordingError(f"{self._place}: {error}") from error
         trajectory = _is_trajectory(layout)
-        if not trajectory and len(layout.numbers) > MOST_COLUMNS:
-            raise self._error(f"{len(layout.numbers)} numbers in a message")
+        if not trajectory:
+            count = len(layout.numbers)
+            check_most(self._place, count, "numbers in a message", MOST_COLUMNS)
         self._layouts.append((layout, {} if trajectory else self._labels(layout)))
         return self._layouts[-1]
-
-    def _error(self, what: str) -> RecordingError:
-        valid = "valid are joint states of an arm"
-        return RecordingError(f"{self.source}: {self.name}: {what}; {valid}")
 
     def _labels(self, layout: MessageLayout) -> dict[str, Path]:
         """Path of each number in a list by its label, with names if there are any."""
@@ -141,8 +135,7 @@ class Topic:
         labels = tuple(columns)
         stream = self._streams.setdefault(labels, Stream(labels))
         self._size += 8 * len(labels) * len(times)
-        if self._size > LARGEST_FILE:
-            raise self._error(f"more than {LARGEST_FILE:.3g} bytes of numbers")
+        check_most(self._place, self._size, "bytes of numbers")
         values = [layout.values(messages, path) for path in columns.values()]
         stream.add(stamps, times, values)
 
