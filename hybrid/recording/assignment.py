@@ -30,14 +30,7 @@ _REQUIRED = ("q", "tau")
 
 
 class Assignment:
-    """Assignment of the columns of one table.
-
-    Args:
-        table: Named columns.
-        joints: Joint names of the robot, base to tip; None if not known.
-        mapping: Map of the user.
-        torque: Whether torques are required.
-    """
+    """Assignment of the columns of one table to channels and joints."""
 
     def __init__(
         self,

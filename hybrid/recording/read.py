@@ -122,9 +122,8 @@ def recording_from_table(
 
 def _logs(path: Path, progress: Progress | None) -> Iterable[tuple[LogTable, ...]]:
     """Tables of each recording of a file or folder."""
-    kind = kind_of(path)
+    kind, what = kind_of(path), "unknown kind of recording"
     if kind is None:
-        what = "unknown kind of recording"
         if path.is_dir():
             what = "is a folder, and neither a bag nor a dataset"
         raise RecordingError(f"{path}: {what}; valid are {', '.join(READERS)}")

@@ -65,13 +65,9 @@ class MessageLayout:
 def layout_of(
     raw: bytes, kind: str, types: dict[str, Any], *, ros2: bool
 ) -> MessageLayout:
-    """Find the layout of one message.
+    """Find the layout of one message by definitions as ``rosbags.typesys`` parses them.
 
-    Args:
-        raw: The message; in ROS 2 with the four bytes of its encoding before it.
-        kind: Type of the message.
-        types: Definitions by type, as ``rosbags.typesys`` parses them.
-        ros2: Whether numbers are aligned, as in ROS 2.
+    In ROS 2, four bytes of encoding stand before the message, and numbers are aligned.
     """
     walk = _Walk(raw, types, ros2)
     try:

@@ -23,12 +23,8 @@ def table_of_arrays(
 ) -> LogTable:
     """Make a table of arrays by label; a matrix has a column for each joint.
 
-    Args:
-        arrays: Array by label; for large files only with the right shape and type.
-            Text under one of ``NAMES`` names the joints.
-        source: File, for messages.
-        get: Loads arrays by label; by default ``arrays`` themselves are used.
-        more: Further fields of the table.
+    Text under one of ``NAMES`` names the joints. Where ``get`` loads the arrays, those
+    given need the right shape and type only; ``more`` are fields of the table.
     """
     load: Get = get or (lambda _: arrays)
     named = [k for k in NAMES if k in arrays and arrays[k].dtype.kind in "SUO"]
@@ -84,11 +80,7 @@ def named_labels(labels: Sequence[str], texts: Mapping[str, str]) -> tuple[str, 
     """Replace numbers in labels by names that other columns hold.
 
     ``rostopic echo -p`` writes the name of a joint as the value of ``field.name0``, and
-    its position as ``field.position0``.
-
-    Args:
-        labels: Labels of a table.
-        texts: Text in the first row by label.
+    its position as ``field.position0``; ``texts`` are those of the first row, by label.
     """
     names = {
         match.group(1, 2): text

@@ -33,10 +33,8 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
     arrays, rate = arrays_of(path)
     groups: dict[str, dict[str, AnyArray]] = {}
     for name, x in arrays.items():
-        match = _EPISODE.match(name)
-        episode = match.group(0) if match else ""
-        label = name[len(episode) :].strip("/")
-        groups.setdefault(episode, {})[label] = x
+        episode = match.group() if (match := _EPISODE.match(name)) else ""
+        groups.setdefault(episode, {})[name[len(episode) :].strip("/")] = x
     logs = [
         (_table(group, episode, str(path), rate),)
         for episode, group in sorted(groups.items(), key=lambda x: _natural(x[0]))

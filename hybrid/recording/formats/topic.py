@@ -21,15 +21,7 @@ _NANO: Path = ("header", "stamp", "nanosec")
 
 
 class Topic:
-    """Messages of a topic, which are decoded in batches.
-
-    Args:
-        name: Topic.
-        kind: Type of its messages.
-        types: Definitions by type.
-        ros2: Whether numbers are aligned, as in ROS 2.
-        source: Bag, for messages to the user.
-    """
+    """Messages of a topic of one type (``kind``), which are decoded in batches."""
 
     def __init__(
         self, name: str, kind: str, types: dict[str, Any], ros2: bool, source: str
