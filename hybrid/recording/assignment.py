@@ -106,7 +106,8 @@ class Assignment:
                 f"{', '.join(TIME)}, in seconds or with its unit (time_ms), {_HELP}"
             )
         label = self.labels[found[0]]
-        unit = source.unit or split_unit(label)[1] or self.table.unit(found[0])
+        of_format = "" if found[0] else self.table.clock_unit
+        unit = source.unit or split_unit(label)[1] or of_format
         if unit and converted(unit, "time") is None:
             raise self._unit_error(label, unit, "time")
         return Used(found[0], label, "t", "", unit, bool(unit))
@@ -286,9 +287,8 @@ class Assignment:
     def _unit(self, channel: str, column: Meaning) -> str:
         """Unit of a column, from the user, the label, the file or the preset."""
         own, preset = self.map.source(channel), self.preset.source(channel)
-        of_file = column.unit or self.table.unit(column.index)
         current = column.channel == "current" or "torque_constant" in own.factors
-        return own.unit or of_file or preset.unit or ("A" if current else "")
+        return own.unit or column.unit or preset.unit or ("A" if current else "")
 
     def _is_ignored_current(self, column: Meaning) -> bool:
         """Tell whether a current is ignored, and not refused as a wrong torque."""

@@ -24,8 +24,7 @@ class LogTable:
         load: Loads the columns of the given indices, in successive blocks of rows:
             index -> samples, shape (N,). A stream keeps no copy of its blocks, so that
             they load only once.
-        units: Unit of each column that the file states apart from its label, or an
-            empty string; empty if it states none at all.
+        clock_unit: Unit of the first column, if it is a clock by its format.
         joints: Joint names of the file, for numbered columns.
         kind: Name of the format.
         name: Name of the recording or topic in the source; empty if it has only one.
@@ -38,7 +37,7 @@ class LogTable:
     source: str
     labels: tuple[str, ...]
     load: Load
-    units: tuple[str, ...] = ()
+    clock_unit: str = ""
     joints: tuple[str, ...] | None = None
     kind: str = ""
     name: str = ""
@@ -50,10 +49,6 @@ class LogTable:
     def place(self) -> str:
         """Source, and the part of it, for messages."""
         return f"{self.source} ({self.name})" if self.name else self.source
-
-    def unit(self, index: int) -> str:
-        """Unit that the file states for a column apart from its label."""
-        return self.units[index] if self.units else ""
 
 
 @contextmanager

@@ -32,7 +32,7 @@ class Topic:
         self._held = self._size = 0
         self._streams: dict[tuple[str, ...], Stream] = {}
         self._layouts: list[tuple[MessageLayout, dict[str, Path]]] = []
-        self._trajectories: list[tuple[int, MessageLayout, bytes]] = []
+        self._trajectories: list[tuple[int, MessageLayout, NDArray[np.uint8]]] = []
 
     def add(self, stamp: int, raw: bytes) -> None:
         """Add a message and the recorder's time of it, [ns]."""
@@ -68,10 +68,9 @@ class Topic:
 
     def _table(self, labels: tuple[str, ...], load: Load, note: str = "") -> LogTable:
         names = (f"{self.name}/__time", *labels)
-        units = ("ns", *("" for _ in labels))
         preset = "joint_state" if self.kind.endswith("/JointState") else ""
         return LogTable(
-            self.source, names, load, units, kind=f"ROS ({self.kind})",
+            self.source, names, load, "ns", kind=f"ROS ({self.kind})",
             name=self.name, preset=preset, note=note,
         )  # fmt: skip
 
@@ -119,9 +118,9 @@ class Topic:
             seconds = layout.values(messages, _STAMP).astype(np.int64)
             stamps = seconds * 10**9 + layout.values(messages, _NANO)
         if _is_trajectory(layout):
-            pairs = zip(stamps, times, messages, strict=True)
+            starts = np.where(stamps, stamps, times).tolist()
             self._trajectories += [
-                (int(s or t), layout, message.tobytes()) for s, t, message in pairs
+                (at, layout, messages[k : k + 1].copy()) for k, at in enumerate(starts)
             ]
             return
         labels = tuple(columns)
@@ -135,14 +134,13 @@ class Topic:
         """Points of trajectories as a command; a new trajectory replaces the last."""
         points: list[tuple[int, list[float]]] = []
         joints: tuple[str, ...] = ()
-        for start, layout, raw in sorted(self._trajectories, key=lambda x: x[0]):
+        for start, layout, message in sorted(self._trajectories, key=lambda x: x[0]):
             names = tuple(
                 text for path, text in layout.texts.items() if path[0] == "joint_names"
             )
             joints = joints or names
             if names != joints:
                 continue
-            message = np.frombuffer(raw, np.uint8)[None]
             get = {p: layout.values(message, p)[0] for p in layout.numbers}
             while points and points[-1][0] >= start:
                 points.pop()
