@@ -221,7 +221,7 @@ def test_html_shows_the_name_and_nothing_of_it_becomes_a_tag(name):
     assert "".join(page(name).texts).count(name) >= 3
 
 
-@settings(max_examples=3)
+@settings(max_examples=1)
 @given(name=NAMES)
 @example(name="$\\frac{1}{0}")
 @example(name="$a$ $b")

@@ -151,8 +151,6 @@ def _loaded(
 ) -> AnyArray:
     layout = [(str(k), kinds.get(k, "U1")) for k in range(len(text.labels))]
     with TextIOWrapper(text.open(), "utf-8", "replace", newline="") as lines:
-        for _ in range(text.above):
-            lines.readline()
         comma = text.decimal_point == ","
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's on no rows, and on time zones
@@ -161,6 +159,7 @@ def _loaded(
                 layout,
                 comments=None,
                 delimiter=text.delimiter,
+                skiprows=text.above,
                 converters={k: parsers[x] for k, x in kinds.items() if x in parsers},
                 ndmin=1,
                 quotechar='"',
