@@ -96,7 +96,7 @@ def test_a_map_is_above_its_preset_channel_by_channel():
         ({"qq": 1, "x": 2}, "unknown 'qq', 'x'"), ([1], r"is \[1\], not a table"),
         (None, "map: is empty, not a table"), ({"joints": ["a", "a"]}, "each once"),
         ({"joints": {"m": ["a"]}}, "joints is {'m'"),
-        ({"preset": "mine"}, "unknown preset 'mine'"), ({"joints": 3}, "joints is 3"),
+        ({"preset": "mine"}, "preset 'mine'; valid are ur_rtde"), ({"joints": 3}, "joints is 3"),
         ({"q": {"unit": "kg"}}, "unit 'kg' is none of rad or m"),
         ({"tau": {"unit": "deg"}}, "unit 'deg' is none of"),
         ({"q": 5}, "q is 5; valid are a label"),
