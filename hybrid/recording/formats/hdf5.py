@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from hybrid.arrays import AnyArray
-from hybrid.errors import RecordingError
 from hybrid.extras import check_extra
 from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.labels import is_time, parse_label, split_unit
@@ -142,6 +141,4 @@ def _check_heaps(path: Path) -> None:
                 # not, and is padded.
                 room = length if index == 0 else _HEADER + -(-length // 8) * 8
             if room < _HEADER:
-                raise RecordingError(
-                    f"{path}: not a whole HDF5 file: a heap at byte {start} is damaged"
-                )
+                raise ValueError(f"the heap at byte {start} is damaged")
