@@ -4,7 +4,6 @@ import csv
 import gzip
 import re
 import warnings
-import zlib
 from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,7 +19,12 @@ from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import named_labels
 from hybrid.recording.recording import row_words
-from hybrid.recording.table import LARGEST_FILE, LogTable, check_most
+from hybrid.recording.table import (
+    LARGEST_FILE,
+    LogTable,
+    as_recording_error,
+    check_most,
+)
 from hybrid.recording.units import fits
 
 DELIMITERS = (",", ";", "\t")
@@ -182,11 +186,8 @@ def _unpacked(path: Path) -> bytes | None:
     """Content of a gzipped file; None if it is not gzipped."""
     if path.suffix.lower() != ".gz":
         return None
-    try:
-        with gzip.open(path) as file:
-            content = file.read(LARGEST_FILE + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise RecordingError(f"{path}: not a whole gzip file: {error}") from error
+    with as_recording_error(path, "gzip file"), gzip.open(path) as file:
+        content = file.read(LARGEST_FILE + 1)
     check_most(path, len(content), "bytes, unpacked")
     return content
 

@@ -51,11 +51,9 @@ def read_parquet_or_episodes(path: Path) -> Iterable[tuple[LogTable]]:
 
 def read_lerobot(folder: Path, only: Path | None = None) -> Iterator[tuple[LogTable]]:
     """Read the episodes of a dataset, or of one of its files, one table each."""
-    try:
+    with as_recording_error(folder, "meta/info.json"):
         info = read_json(folder / "meta" / "info.json")
         version, features = str(info["codebase_version"]), dict(info["features"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RecordingError(f"{folder}: no valid meta/info.json: {error}") from error
     if version not in VERSIONS:
         raise RecordingError(
             f"{folder}: LeRobot dataset {version[:20]}; valid are {', '.join(VERSIONS)}"
