@@ -85,7 +85,7 @@ def filtered_logs(count=4):
     """Logs of an arm with dry friction, whose torque was filtered."""
     robot = arm("planar")
     truth = [Coulomb((0,), {"level": LEVEL}), Viscous((1,), {"coefficient": 0.5})]
-    logs = simulate(robot, truth, trajectories=count, duration=12.0, seed=3)
+    logs = simulate(robot, truth, trajectories=count, duration=9.0, seed=3)
     b, a = butter(4, BAND, fs=logs[0].rate)
     return [replace(x, tau=filtfilt(b, a, x.tau, axis=0)) for x in logs]
 

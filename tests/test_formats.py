@@ -29,7 +29,7 @@ WRITERS = import_module("hybrid.recording.write").WRITERS
 SUFFIXES = (".csv", ".parquet", ".npz")
 ARM = ("shoulder", "elbow", "wrist")
 FOLDER = settings(
-    max_examples=25,
+    max_examples=10,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 
