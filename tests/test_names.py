@@ -103,7 +103,7 @@ def test_every_format_stays_in_its_folder(kind, arm, joint):
     assert len(list(exported(model(arm, joint), kind))) > 1
 
 
-@settings(max_examples=4)
+@settings(max_examples=2)
 @given(arm=NAMES, joint=NAMES)
 @example(arm='"""; evil()', joint="'] + evil() + ['")
 @example(arm="../../../x", joint="a/../b")
@@ -158,7 +158,7 @@ def test_c_compiles_and_has_no_code_of_a_name(arm, joint):
 
 
 @pytest.mark.parametrize(("kind", "suffix"), [("urdf", ".urdf"), ("mjcf", ".xml")])
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(arm=NAMES, joint=NAMES)
 @example(arm="--><x/>", joint='"/><evil a="')
 def test_xml_reads_back_with_the_same_names(kind, suffix, arm, joint):
