@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import h5py
@@ -277,6 +278,7 @@ INTERFACE = "control_msgs/msg/InterfaceValue"
 INTERFACE_TEXT = "string[] interface_names\nfloat64[] values\n"
 
 
+@cache
 def store(ros1: bool = False):
     """Message types of a distribution, with one of control_msgs."""
     found = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)

@@ -35,9 +35,8 @@ def filled(rows: int, step: int) -> tuple[Stream, np.ndarray]:
 def table_of(made: Stream) -> LogTable:
     clock, headed = made.clock()
     assert headed
-    units = ("ns", *[""] * 12)
     return LogTable(
-        "bag", ("time", *made.labels), lambda used: made.take(used, clock), units
+        "bag", ("time", *made.labels), lambda used: made.take(used, clock), "ns"
     )
 
 

@@ -85,9 +85,15 @@ def filtered_logs(count=4):
     """Logs of an arm with dry friction, whose torque was filtered."""
     robot = arm("planar")
     truth = [Coulomb((0,), {"level": LEVEL}), Viscous((1,), {"coefficient": 0.5})]
-    logs = simulate(robot, truth, trajectories=count, duration=12.0, seed=3)
+    logs = simulate(robot, truth, trajectories=count, duration=9.0, seed=3)
     b, a = butter(4, BAND, fs=logs[0].rate)
     return [replace(x, tau=filtfilt(b, a, x.tau, axis=0)) for x in logs]
+
+
+@cache
+def rigid_fit():
+    """A fit to three of these logs, and what it warned of."""
+    return quiet(identify, arm("planar"), filtered_logs()[:3], stages=("rigid",))
 
 
 def load_model_again(model):
@@ -99,7 +105,7 @@ def load_model_again(model):
 @pytest.mark.study
 def test_identification_finds_the_friction_behind_a_filter():
     robot, logs = arm("planar"), filtered_logs()
-    fit, told = quiet(identify, robot, logs[:3], stages=("rigid",))
+    fit, told = rigid_fit()
     plain, _ = quiet(identify, robot, logs[:3], stages=("rigid",), cutoff=BAND)
     found = {(e.id, e.joints): e.values for e in fit.model.effects}
     declared = float(robot.frictionloss[0])
@@ -122,7 +128,7 @@ def test_identification_finds_the_friction_behind_a_filter():
 
 def test_a_picture_shows_models_as_the_logger_does():
     """Sharp friction drawn over smooth torque would look like an error of the model."""
-    fit, _ = quiet(identify, arm("planar"), filtered_logs()[:3], stages=("rigid",))
+    fit, _ = rigid_fit()
     figure = excerpt_figure(fit.model, filtered_logs()[3])
     residuals = [x for x in figure.axes if "residual" in x.get_ylabel()]
     most = [np.abs(line.get_ydata()).max() for x in residuals for line in x.lines]
@@ -130,7 +136,7 @@ def test_a_picture_shows_models_as_the_logger_does():
 
 
 def test_an_export_is_compared_with_a_log_as_it_is_validated():
-    fit, _ = quiet(identify, arm("planar"), filtered_logs()[:3], stages=("rigid",))
+    fit, _ = rigid_fit()
     model, log = fit.model, filtered_logs()[3]
     (motion,), _ = motions_from_logs([log], model.cutoff)
     still = replace(motion, v=motion.v * [1.0, 0.0])

@@ -23,7 +23,7 @@ def test_seeds_are_taken_and_damaged_ones_end_in_one_line(name, tmp_path, capfd)
         (folder / reader.name).write_bytes(seed)
         assert reader.outcome(folder / reader.name) == "taken"
     rng, outcomes = random.Random(0), set()
-    for _ in range(60):
+    for _ in range(30):
         (folder / reader.name).write_bytes(one.mutated(rng.choice(seeds), rng))
         outcomes.add(reader.outcome(folder / reader.name))
     assert "refused" in outcomes

@@ -23,10 +23,10 @@ from rosbags.rosbag2 import StoragePlugin
 
 from hybrid.cli.shared.options import read_logs
 from hybrid.cli.shared.screen import Screen
-from hybrid.errors import HybridWarning, RecordingError
+from hybrid.errors import HybridError, HybridWarning, RecordingError
 from hybrid.recording import Recording, read, read_all, recording_from_table
-from hybrid.recording.formats.lerobot import read_parquet_or_episodes
-from hybrid.recording.formats.mat_elements import check_elements
+from hybrid.recording.formats.mat import check_elements
+from hybrid.recording.formats.parquet import read_parquet_or_episodes
 
 REAL = Path(__file__).parents[2] / "shared" / "data" / "ur10_bag"
 TEXTS = (*DIALECTS, "gzip", "tab", "other units", "ur_rtde", "ur_rtde, spaces",
@@ -315,17 +315,10 @@ def test_a_map_is_a_file_a_preset_or_a_dict(tmp_path):
     ("content", "message"),
     [
         ({"Q": "a"}, "unknown 'Q'; valid are keys preset, joints"),
-        ({"Q": "a", "q": "q{}", "V": "b"}, "unknown 'Q', 'V'; valid are keys preset, "),
-        ({"preset": "kuka"}, "unknown preset 'kuka'; valid are ur_rtde"),
-        ({"q": 3}, "q is 3; valid are a label with {}"),
-        ({"q": {"unit": "kg"}}, "unit 'kg' is none of rad or m; valid are"),
-        ({"tau": {"scale": "x"}}, "tau: scale is 'x'; valid are numbers"),
         ({"q": "angle_{}"}, "no column like 'angle_{}' for q of map among time"),
         ({"q": ["nope"]}, "no column 'nope' for q of map among time, q1"),
-        ({"tau": {"scale": np.nan}}, "scale is nan; valid are numbers"),
         ({"tau": {"gear_ratio": [1, np.inf]}}, "gear_ratio is inf; valid are numbers"),
         ({"tau": {"scale": [1, 2]}}, "the map gives 2 numbers as scale for 6 joints"),
-        ({"time": {"rate": 0}}, "valid is a rate above 0, in Hz"),
         ({"time": "clock"}, "no column 'clock' among time, q1"),
         ("my.json", "my.json: no map; valid are a .yaml file and ur_rtde"),
         ("none.yaml", "none.yaml: not a readable YAML file"),
@@ -353,7 +346,7 @@ def test_the_command_line_takes_a_map(tmp_path):
 def test_a_library_that_is_not_there_is_named(tmp_path, monkeypatch):
     (tmp_path / "a.h5").write_bytes(b"x")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(RecordingError, match=r"pip install 'hybrid-arm\[hdf5\]'$"):
+    with pytest.raises(HybridError, match=r"pip install 'hybrid-arm\[hdf5\]'$"):
         read(tmp_path / "a.h5")
 
 
@@ -404,12 +397,12 @@ def test_a_matrix_without_rows_may_not_state_any_number_of_columns(tmp_path):
     """22 bytes of version 4: 300 million columns took 41 s and 6 GB to be labelled."""
     path = tmp_path / "log.mat"
     path.write_bytes(struct.pack("<5i", 0, 300_000_000, 0, 0, 2) + b"q\0")
-    with pytest.raises(RecordingError, match="q has 300000000 columns; valid are up"):
+    with pytest.raises(RecordingError, match="q: 300000000 columns; valid are up"):
         read(path)
     with h5py.File(tmp_path / "log.h5", "w") as file:
         file["t"] = np.zeros(0)
         file.create_dataset("q", shape=(0, 300_000_000), dtype="f8")
-    with pytest.raises(RecordingError, match="q has 300000000 columns; valid are up"):
+    with pytest.raises(RecordingError, match="q: 300000000 columns; valid are up"):
         read(tmp_path / "log.h5")
 
 
@@ -421,7 +414,7 @@ def test_what_scipy_reads_of_its_own_files_is_not_refused():
     for path in files or pytest.skip("SciPy came without its tests"):
         try:
             check_elements(path)
-        except (RecordingError, zlib.error):
+        except (ValueError, zlib.error):
             with pytest.raises((ValueError, TypeError, zlib.error)):
                 scipy.io.loadmat(path)
 
@@ -448,7 +441,7 @@ def test_a_chunk_that_unpacks_to_more_than_any_log_is_refused(tmp_path):
         at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
     content[at + 25 : at + 33] = (1 << 40).to_bytes(8, "little")
     (tmp_path / "log.mcap").write_bytes(content)
-    with pytest.raises(RecordingError, match="a chunk unpacks to 1.1e.12 bytes"):
+    with pytest.raises(RecordingError, match="1099511627776 bytes of a chunk"):
         read(tmp_path / "log.mcap")
 
 

@@ -160,11 +160,6 @@ def test_only_json_is_written_and_nothing_is_left_half_written(fit, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_missing_file_is_named(saved):
-    with pytest.raises(ModelFileError, match=r"nowhere\.json"):
-        DynamicModel.load(saved.with_name("nowhere.json"))
-
-
 def test_a_file_cut_off_anywhere_is_refused(saved):
     whole = saved.read_bytes()
     for share in (0.0, 0.001, 0.1, 0.5, 0.9, 0.999):

@@ -114,11 +114,7 @@ def content_digest(content: Mapping[str, Any]) -> str:
 
 
 def _content(model: DynamicModel) -> dict[str, Any]:
-    base, remainder = model.base, model.remainder
-    learned: dict[str, Any] | None = None
-    if remainder is not None:
-        arrays = {name: _packed(x) for name, x in remainder.arrays().items()}
-        learned = {"parts": remainder.as_dict(), "arrays": arrays}
+    base, learned = model.base, model.remainder
     return {
         "cutoff": model.cutoff if np.isfinite(model.cutoff) else None,
         "base": {
@@ -133,7 +129,11 @@ def _content(model: DynamicModel) -> dict[str, Any]:
         "standing": model.standing.tolist(),
         "range": {name: x.tolist() for name, x in model.range.items()},
         "inertial": None if model.inertial is None else model.inertial.tolist(),
-        "remainder": learned,
+        "remainder": learned
+        and {
+            "parts": learned.as_dict(),
+            "arrays": {name: _packed(x) for name, x in learned.arrays().items()},
+        },
         **({"covariance": _packed(model.covariance)} if model.covariance.size else {}),
         **({"band": model.band} if np.isfinite(model.band) else {}),
     }
@@ -174,30 +174,28 @@ def _model(kind: type[DynamicModel], robot: Robot, content: Any) -> DynamicModel
         effects=tuple(_effect(e, robot, fastest) for e in content["effects"]),
         remainder=remainder,
         cutoff=np.inf if cutoff is None else cutoff,
-        standing=_array("standing", standing, (n,) if standing else (0,), lowest=0.0),
+        standing=_array("standing", standing, (n,) if standing else (0,), 0.0),
         range=seen,
         inertial=None if links is None else _array("inertial", links, (n, 10)),
-        covariance=_covariance(content, base.size),
+        covariance=_covariance(content.get("covariance"), base.size),
         band=np.inf if band is None else band,
     )
 
 
-def _covariance(content: Mapping[str, Any], size: int) -> Array:
+def _covariance(content: Any, size: int) -> Array:
     """Covariance of the base values; older files have none."""
-    if "covariance" not in content:
+    if content is None:
         return np.zeros((0, 0))
-    found = _array("covariance", content["covariance"], (size, size))
+    found = _array("covariance", content, (size, size))
     if (np.diag(found) < 0).any():
         raise ModelFileError("covariance has a variance below 0")
     return found
 
 
 def _range(content: Mapping[str, Any], n: int) -> dict[str, Array]:
+    lowest = {"v_max": 0.0}
     found = {
-        name: _array(
-            f"range.{name}", x, (n,), lowest=0.0 if name == "v_max" else -np.inf
-        )
-        for name, x in content.items()
+        k: _array(f"range.{k}", x, (n,), lowest.get(k)) for k, x in content.items()
     }
     if {"q_min", "q_max"} <= set(found) and (found["q_min"] > found["q_max"]).any():
         raise ModelFileError("range.q_min is above range.q_max")
@@ -243,15 +241,12 @@ def _effect(content: Any, robot: Robot, fastest: Array) -> Effect:
 
 
 def _check_joints(remainder: ArmRemainder) -> None:
-    joints = [part.joint for part in remainder.parts]
-    if len(set(joints)) < len(joints):
+    if len({part.joint for part in remainder.parts}) < len(remainder.parts):
         raise ModelFileError("a joint has two remainders")
     for part in remainder.parts:
         for j in (part.joint, *part.positions, *part.speeds):
             if not 0 <= j < remainder.size:
-                raise ModelFileError(
-                    f"the remainder uses joint {j} of {remainder.size}"
-                )
+                raise ModelFileError(f"a remainder uses joint {j} of {remainder.size}")
         if part.regression.outputs != 1:
             raise ModelFileError("a joint's remainder has more than one torque")
 
@@ -272,8 +267,7 @@ def _array(
     name: str,
     content: Any,
     shape: tuple[int, ...] | None = None,
-    *,
-    lowest: float = -np.inf,
+    lowest: float | None = None,
 ) -> Array:
     """Lists of numbers, or a packed array, with shape and values checked."""
     x = _unpacked(name, content) if isinstance(content, dict) else np.array(content)
@@ -284,6 +278,6 @@ def _array(
         raise ModelFileError(
             f"{name} has shape {x.shape}; valid are numbers of shape {shape}"
         )
-    if (x < lowest).any():
+    if lowest is not None and (x < lowest).any():
         raise ModelFileError(f"{name} is {x.min():g}; valid is {lowest:g} or more")
     return x

@@ -208,19 +208,11 @@ class _Memory:
     ) -> Sequence[Any]:
         """Evaluate a law of an effect with its memory, and keep the new memory."""
         if id(effect) not in self._first:
-            self._first[id(effect)] = len(self.names)
-            where = "+".join(str(j + 1) for j in effect.joints)
-            self.names += [f"{effect.id} {where}: {x}" for x in effect.memory]
-            self.now += [0.0] * len(effect.memory)
-        first, known = self._first[id(effect)], self.tape.input("known")
-        before = tuple(
-            self.tape.apply(
-                "where", known > 0.5, self.tape.input(f"memory[{first + i}]"), x
-            )
-            for i, x in enumerate(effect.begin(states))
-        )
-        step = self.tape.input("step")
-        values, now = _traced(law, effect, given, before, step)
+            self._first[id(effect)] = self._added(effect, effect.memory)
+        first = self._first[id(effect)]
+        begin = enumerate(effect.begin(states), first)
+        before = tuple(self._past(place, x) for place, x in begin)
+        values, now = _traced(law, effect, given, before, self.tape.input("step"))
         self.now[first : first + len(now)] = now
         return values  # type: ignore[no-any-return]
 
@@ -229,19 +221,25 @@ class _Memory:
 
         It has only the past: it lets more pass than that of whole motions, and later.
         """
-        where = "+".join(str(j + 1) for j in effect.joints)
-        past = []
-        for name in ("torque", "smoothed"):
-            kept = self.tape.input(f"memory[{len(self.names)}]")
-            known = self.tape.input("known") > 0.5
-            past.append(self.tape.apply("where", known, kept, now))
-            self.names.append(f"{effect.id} {where}: {name}")
-            self.now.append(0.0)
-        before, smooth = past
+        first = self._added(effect, ("torque", "smoothed"))
+        before, smooth = self._past(first, now), self._past(first + 1, now)
         step, time = self.tape.input("step"), 1.0 / (2 * np.pi * LOWER_BAND * cutoff)
         smooth = smooth + step / (step + 2 * time) * (now + before - 2.0 * smooth)
         self.now[-2:] = now, smooth
         return smooth
+
+    def _added(self, effect: Effect, names: Sequence[str]) -> int:
+        """Add values of an effect, and return the place of the first."""
+        where = "+".join(str(j + 1) for j in effect.joints)
+        self.names += [f"{effect.id} {where}: {x}" for x in names]
+        self.now += [0.0] * len(names)
+        return len(self.names) - len(names)
+
+    def _past(self, place: int, first: Any) -> Any:
+        """Value kept at a place in the last call; ``first`` if there was none."""
+        known = self.tape.input("known") > 0.5
+        kept = self.tape.input(f"memory[{place}]")
+        return self.tape.apply("where", known, kept, first)
 
 
 def _traced(law: Any, effect: Effect, *given: Any) -> Any:

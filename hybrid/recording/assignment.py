@@ -22,7 +22,7 @@ from hybrid.recording.labels import (
 from hybrid.recording.mapping import Mapping, Source, preset_of
 from hybrid.recording.reading import Reading, Used
 from hybrid.recording.recording import CHANNELS, joint_mismatch, numbered_joints
-from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError
+from hybrid.recording.table import MOST_COLUMNS, LogTable, NoJointsError, check_most
 from hybrid.recording.units import SI, converted
 
 _HELP = "or say which column is what with --map FILE.yaml, in Python map="
@@ -30,14 +30,7 @@ _REQUIRED = ("q", "tau")
 
 
 class Assignment:
-    """Assignment of the columns of one table.
-
-    Args:
-        table: Named columns.
-        joints: Joint names of the robot, base to tip; None if not known.
-        mapping: Map of the user.
-        torque: Whether torques are required.
-    """
+    """Assignment of the columns of one table to channels and joints."""
 
     def __init__(
         self,
@@ -46,11 +39,7 @@ class Assignment:
         mapping: Mapping,
         torque: bool,
     ) -> None:
-        if len(table.labels) > MOST_COLUMNS:
-            raise RecordingError(
-                f"{table.place}: {len(table.labels)} columns; valid are up to "
-                f"{MOST_COLUMNS}"
-            )
+        check_most(table.place, len(table.labels), "columns", MOST_COLUMNS)
         # One character more than the longest label that may have a meaning.
         labels = tuple(printable(x.strip())[: LONGEST + 1] for x in table.labels)
         self.table, self.labels, self.torque = table, labels, torque
@@ -117,7 +106,8 @@ class Assignment:
                 f"{', '.join(TIME)}, in seconds or with its unit (time_ms), {_HELP}"
             )
         label = self.labels[found[0]]
-        unit = source.unit or split_unit(label)[1] or self.table.unit(found[0])
+        of_format = "" if found[0] else self.table.clock_unit
+        unit = source.unit or split_unit(label)[1] or of_format
         if unit and converted(unit, "time") is None:
             raise self._unit_error(label, unit, "time")
         return Used(found[0], label, "t", "", unit, bool(unit))
@@ -297,9 +287,8 @@ class Assignment:
     def _unit(self, channel: str, column: Meaning) -> str:
         """Unit of a column, from the user, the label, the file or the preset."""
         own, preset = self.map.source(channel), self.preset.source(channel)
-        of_file = column.unit or self.table.unit(column.index)
         current = column.channel == "current" or "torque_constant" in own.factors
-        return own.unit or of_file or preset.unit or ("A" if current else "")
+        return own.unit or column.unit or preset.unit or ("A" if current else "")
 
     def _is_ignored_current(self, column: Meaning) -> bool:
         """Tell whether a current is ignored, and not refused as a wrong torque."""

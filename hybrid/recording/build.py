@@ -67,16 +67,14 @@ def _best(
     if not good:
         raise min(bad, key=lambda error: isinstance(error, NoJointsError))
     highest = max(rank for rank, *_ in good)
-    first, *more = (
-        (table, reading) for rank, table, reading in good if rank == highest
-    )
-    if more:
-        names = ", ".join(table.name for table, _ in (first, *more))
+    best = [(table, reading) for rank, table, reading in good if rank == highest]
+    if len(best) > 1:
+        names = ", ".join(table.name for table, _ in best)
         raise RecordingError(
-            f"{first[0].source}: joints in several topics: {names}; valid is --map "
+            f"{best[0][0].source}: joints in several topics: {names}; valid is --map "
             "FILE.yaml with topic: and one of them"
         )
-    return first
+    return best[0]
 
 
 def _warn(table: LogTable, reading: Reading) -> None:

@@ -65,21 +65,20 @@ class Source:
         """Product of all factors for the joint at a place, from 0, among the joints."""
         product, joint = 1.0, joints[place]
         for name, value in self.factors.items():
-            if isinstance(value, tuple) and len(value) != len(joints):
-                raise RecordingError(
-                    f"the map gives {len(value)} numbers as {name} for "
-                    f"{len(joints)} joints; valid is one for each of "
-                    f"{', '.join(joints)}, in this order"
-                )
+            if isinstance(value, tuple):
+                if len(value) != len(joints):
+                    raise RecordingError(
+                        f"the map gives {len(value)} numbers as {name} for "
+                        f"{len(joints)} joints; valid is one for each of "
+                        f"{', '.join(joints)}, in this order"
+                    )
+                value = dict(zip(joints, value, strict=True))
             if isinstance(value, dict) and joint not in value:
                 raise RecordingError(
                     f"the map gives no {name} for {joint}; valid is a number, a list "
                     "in the order of the joints, or one for each joint by name"
                 )
-            if isinstance(value, dict):
-                product *= value[joint]
-            else:
-                product *= value[place] if isinstance(value, tuple) else value
+            product *= value[joint] if isinstance(value, dict) else value
         return product
 
 
@@ -231,37 +230,20 @@ def _number(value: Any, where: str) -> float:
 PRESETS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "ur_rtde": (
         ("timestamp", r"actual_q_?\d", r"target_q_?\d"),
-        {
-            "time": "timestamp",
-            "q": "actual_q_{}",
-            "v": "actual_qd_{}",
-            "command": "target_q_{}",
-            "tau": {"columns": "actual_current_{}", "unit": "A"},
-            "temperature": {"columns": "joint_temperatures_{}", "unit": "degC"},
-        },
-    ),
+        {"time": "timestamp", "q": "actual_q_{}", "v": "actual_qd_{}",
+         "command": "target_q_{}",
+         "tau": {"columns": "actual_current_{}", "unit": "A"},
+         "temperature": {"columns": "joint_temperatures_{}", "unit": "degC"}}),
     "libfranka": (
         ("duration", r"(.*\W)?tau_J\[0\]"),
-        {"time": {"column": "duration", "unit": "ms"}},
-    ),
+        {"time": {"column": "duration", "unit": "ms"}}),
     "libfranka_log": (
         ("time", r"state\.tau_J\[0\]"),
-        {
-            "time": {"column": "time", "unit": "ms"},
-            "q": "state.q[{}]",
-            "v": "state.dq[{}]",
-            "command": "state.q_d[{}]",
-            "tau": "state.tau_J[{}]",
-        },
-    ),
+        {"time": {"column": "time", "unit": "ms"}, "q": "state.q[{}]",
+         "v": "state.dq[{}]", "command": "state.q_d[{}]", "tau": "state.tau_J[{}]"}),
     "lerobot": (
         ("timestamp", r"observation\.state.*", "action.*"),
-        {
-            "time": "timestamp",
-            "q": "observation.state[{}]",
-            "command": "action[{}]",
-        },
-    ),
+        {"time": "timestamp", "q": "observation.state[{}]", "command": "action[{}]"}),
     "joint_state": ((), {"q": {"unit": "rad"}, "v": {"unit": "rad/s"},
                          "tau": {"unit": "N*m"}}),
     "ur_driver": ((), {"q": {"unit": "rad"}, "v": {"unit": "rad/s"},

@@ -15,7 +15,7 @@ from hybrid.recording.formats.frame import table_of_frame
 from hybrid.recording.formats.ros import read_ros
 from hybrid.recording.mapping import Map, read_mapping
 from hybrid.recording.recording import Recording
-from hybrid.recording.table import LARGEST_FILE, LogTable, NoJointsError
+from hybrid.recording.table import LogTable, NoJointsError, check_most
 
 
 @typed
@@ -122,18 +122,15 @@ def recording_from_table(
 
 def _logs(path: Path, progress: Progress | None) -> Iterable[tuple[LogTable, ...]]:
     """Tables of each recording of a file or folder."""
-    kind = kind_of(path)
+    kind, what = kind_of(path), "unknown kind of recording"
     if kind is None:
-        what = "unknown kind of recording"
         if path.is_dir():
             what = "is a folder, and neither a bag nor a dataset"
         raise RecordingError(f"{path}: {what}; valid are {', '.join(READERS)}")
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
-    if (size := path.stat().st_size) > LARGEST_FILE and kind not in STREAMED:
-        raise RecordingError(
-            f"{path}: {size:.3g} bytes; valid are {LARGEST_FILE:.3g} or less"
-        )
+    if kind not in STREAMED:
+        check_most(path, path.stat().st_size, "bytes")
     reader = (READERS | FOLDERS)[kind]
     return read_ros(path, progress) if reader is read_ros else reader(path)
 

@@ -56,10 +56,8 @@ class Recording:
         if not self.has_torque:
             set_field(self, "tau", np.full_like(self.q, np.nan))
         if isinstance(self.joints, str) or not isinstance(self.joints, Iterable):
-            given = repr(self.joints)
-            raise self._error(
-                f"joints is {given}; valid are names, one for each column"
-            )
+            valid = "valid are names, one for each column"
+            raise self._error(f"joints is {self.joints!r}; {valid}")
         names = tuple(str(joint) for joint in self.joints)
         set_field(self, "joints", names or numbered_joints(self.q.shape[1]))
         self._check_shapes()

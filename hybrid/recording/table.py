@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from hybrid.arrays import AnyArray
-from hybrid.errors import RecordingError
+from hybrid.errors import HybridError, RecordingError
 from hybrid.names import printable
 
 LARGEST_FILE = 4 << 30  # bytes; an hour at 1 kHz of 50 joints is less
@@ -24,8 +24,7 @@ class LogTable:
         load: Loads the columns of the given indices, in successive blocks of rows:
             index -> samples, shape (N,). A stream keeps no copy of its blocks, so that
             they load only once.
-        units: Unit of each column that the file states apart from its label, or an
-            empty string; empty if it states none at all.
+        clock_unit: Unit of the first column, if it is a clock by its format.
         joints: Joint names of the file, for numbered columns.
         kind: Name of the format.
         name: Name of the recording or topic in the source; empty if it has only one.
@@ -38,7 +37,7 @@ class LogTable:
     source: str
     labels: tuple[str, ...]
     load: Load
-    units: tuple[str, ...] = ()
+    clock_unit: str = ""
     joints: tuple[str, ...] | None = None
     kind: str = ""
     name: str = ""
@@ -51,23 +50,25 @@ class LogTable:
         """Source, and the part of it, for messages."""
         return f"{self.source} ({self.name})" if self.name else self.source
 
-    def unit(self, index: int) -> str:
-        """Unit that the file states for a column apart from its label."""
-        return self.units[index] if self.units else ""
-
 
 @contextmanager
 def as_recording_error(source: object, kind: str) -> Iterator[None]:
     """Turn any exception of a library that reads a damaged file into one line."""
     try:
         yield
-    except RecordingError:
+    except HybridError:
         raise
     except Exception as error:  # libraries raise any type for a damaged file
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise RecordingError(
             f"{source}: not a whole {kind} (truncated?): {reason}"
         ) from error
+
+
+def check_most(place: object, count: int, what: str, most: int = LARGEST_FILE) -> None:
+    """Refuse more than any log has, before memory is taken for it."""
+    if count > most:
+        raise RecordingError(f"{place}: {count} {what}; valid are up to {most}")
 
 
 def check_numbers(

@@ -8,8 +8,8 @@ import numpy as np
 
 from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
+from hybrid.extras import check_extra
 from hybrid.files import atomic_path
-from hybrid.recording.formats.parquet import check_parquet
 from hybrid.recording.recording import Recording, numbered_joints
 
 Columns = Mapping[str, AnyArray]
@@ -62,7 +62,7 @@ def writer_of(path: Path) -> Callable[[Columns, Path], None]:
             f"{path}: unknown kind of file; valid are {', '.join(WRITERS)}"
         )
     if path.suffix.lower() == ".parquet":
-        check_parquet(path)
+        check_extra("pyarrow", "parquet", f"{path}: Parquet")
     return WRITERS[path.suffix.lower()]
 
 

@@ -88,14 +88,5 @@ def motion_from_recording(
     q = q + correction_by_speed(recording, cutoff=cutoff, mask=mask)
     v = central_difference(q, rate=rate)
     a = central_difference(v, rate=rate)
-    return Motion(
-        t=recording.t,
-        q=q,
-        v=v,
-        a=a,
-        tau=recording.tau,
-        mask=mask,
-        temperature=recording.temperature,
-        joints=recording.joints,
-        source=recording.source,
-    )
+    x = recording
+    return Motion(x.t, q, v, a, x.tau, mask, x.temperature, x.joints, x.source)

@@ -5,13 +5,13 @@ from pathlib import Path
 
 from hybrid.recording.formats.csv import read_csv
 from hybrid.recording.formats.hdf5 import read_hdf5
-from hybrid.recording.formats.lerobot import (
+from hybrid.recording.formats.mat import read_mat
+from hybrid.recording.formats.npz import read_npz
+from hybrid.recording.formats.parquet import (
     is_dataset,
     read_lerobot,
     read_parquet_or_episodes,
 )
-from hybrid.recording.formats.mat import read_mat
-from hybrid.recording.formats.npz import read_npz
 from hybrid.recording.formats.ros import is_bag, read_ros
 from hybrid.recording.table import LogTable
 

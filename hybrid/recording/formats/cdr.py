@@ -24,7 +24,7 @@ _TIME: tuple[Any, Any] = (
     [],
     [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))],
 )
-_MESSAGE, _LIST = 2, 4  # kinds of nodes of a definition; an array is 3, the rest is 1
+MESSAGE, LIST = 2, 4  # kinds of nodes of a definition; an array is 3, the rest is 1
 _DEEPEST = 12  # nesting levels of messages
 MOST_NUMBERS = 1 << 20  # in a message
 
@@ -65,13 +65,9 @@ class MessageLayout:
 def layout_of(
     raw: bytes, kind: str, types: dict[str, Any], *, ros2: bool
 ) -> MessageLayout:
-    """Find the layout of one message.
+    """Find the layout of one message by definitions as ``rosbags.typesys`` parses them.
 
-    Args:
-        raw: The message; in ROS 2 with the four bytes of its encoding before it.
-        kind: Type of the message.
-        types: Definitions by type, as ``rosbags.typesys`` parses them.
-        ros2: Whether numbers are aligned, as in ROS 2.
+    In ROS 2, four bytes of encoding stand before the message, and numbers are aligned.
     """
     walk = _Walk(raw, types, ros2)
     try:
@@ -108,11 +104,11 @@ class _Walk:
             self.field(int(node), what, (*path, name), depth)
 
     def field(self, node: int, what: Any, path: Path, depth: int) -> None:
-        if node == _MESSAGE:
+        if node == MESSAGE:
             self.message(what, path, depth + 1)
-        elif node > _MESSAGE:
+        elif node > MESSAGE:
             (inner, element), count = what
-            count = self.length() if node == _LIST else count
+            count = self.length() if node == LIST else count
             if count > min(MOST_NUMBERS, len(self.raw)):
                 raise LayoutError(f"{count} numbers in {path[-1]}")
             for k in range(count):

@@ -4,9 +4,8 @@ import csv
 import gzip
 import re
 import warnings
-import zlib
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO, TextIOWrapper
@@ -20,7 +19,12 @@ from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import named_labels
 from hybrid.recording.recording import row_words
-from hybrid.recording.table import LARGEST_FILE, LogTable
+from hybrid.recording.table import (
+    LARGEST_FILE,
+    LogTable,
+    as_recording_error,
+    check_most,
+)
 from hybrid.recording.units import fits
 
 DELIMITERS = (",", ";", "\t")
@@ -48,14 +52,11 @@ class _Text:
 
 
 def read_csv(path: Path) -> list[tuple[LogTable]]:
-    """Read a line of column names and one line for each sample.
+    """Read a line of column names and one line for each sample, gzipped or not.
 
     Comments, which begin with ``#``, may stand above, and the names in the last of
-    them; a line of units may stand below.
-
-    Args:
-        path: File, gzipped or not, with comma, semicolon or tab between cells. Numbers
-            have a decimal point, or a decimal comma if cells have no comma between.
+    them; a line of units may stand below. Cells have comma, semicolon or tab between.
+    Numbers have a decimal point, or a decimal comma if cells have no comma between.
     """
     text = _text(path)
     labels = text.labels
@@ -143,11 +144,10 @@ def _numbers(chunk: Any, kind: str) -> AnyArray:
 
 def _rows(text: _Text, kinds: Mapping[int, str]) -> AnyArray:
     """Load all rows by NumPy; ``ValueError`` has its words on the first bad one."""
-    dates: dict[str, Callable[[str], Any]] = {_DATES: _date}
     try:
-        return _loaded(text, kinds, dates)
+        return _loaded(text, kinds, {_DATES: _date})
     except ValueError:  # again, with blank cells as NaN
-        return _loaded(text, kinds, {**dates, "f8": _number})
+        return _loaded(text, kinds, {_DATES: _date, "f8": _number})
 
 
 def _loaded(
@@ -155,8 +155,6 @@ def _loaded(
 ) -> AnyArray:
     layout = [(str(k), kinds.get(k, "U1")) for k in range(len(text.labels))]
     with TextIOWrapper(text.open(), "utf-8", "replace", newline="") as lines:
-        for _ in range(text.above):
-            lines.readline()
         comma = text.decimal_point == ","
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's on no rows, and on time zones
@@ -165,6 +163,7 @@ def _loaded(
                 layout,
                 comments=None,
                 delimiter=text.delimiter,
+                skiprows=text.above,
                 converters={k: parsers[x] for k, x in kinds.items() if x in parsers},
                 ndmin=1,
                 quotechar='"',
@@ -187,13 +186,9 @@ def _unpacked(path: Path) -> bytes | None:
     """Content of a gzipped file; None if it is not gzipped."""
     if path.suffix.lower() != ".gz":
         return None
-    try:
-        with gzip.open(path) as file:
-            content = file.read(LARGEST_FILE + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise RecordingError(f"{path}: not a whole gzip file: {error}") from error
-    if len(content) > LARGEST_FILE:
-        raise RecordingError(f"{path}: unpacks to more than {LARGEST_FILE:.3g} bytes")
+    with as_recording_error(path, "gzip file"), gzip.open(path) as file:
+        content = file.read(LARGEST_FILE + 1)
+    check_most(path, len(content), "bytes, unpacked")
     return content
 
 
@@ -230,18 +225,11 @@ def _text(path: Path) -> _Text:
         pairs = zip_longest(labels, units, fillvalue="")
         labels = tuple(f"{x} [{unit}]" if unit else x for x, unit in pairs)
         first, above, cells = second, above + 1, _cells(second, delimiter)
-    point = "."
-    if delimiter != ",":
-        point = _decimal_point(
-            [first, second, *ahead.decode(errors="replace").split("\n")]
-        )
+    # At rest, all numbers may be whole.
+    rows_ahead = first, second, *ahead.decode(errors="replace").split("\n")
+    row = next((x for x in rows_ahead if "," in x or "." in x), ".")
+    point = "." if delimiter == "," or "." in row else ","
     return _Text(path, content, labels, delimiter, point, cells, above)
-
-
-def _decimal_point(rows: Iterable[str]) -> str:
-    """Decimal sign of rows, by the first that has one: at rest, all may be whole."""
-    row = next((x for x in rows if "," in x or "." in x), "")
-    return "," if "," in row and "." not in row else "."
 
 
 def _first_lines(file: BinaryIO) -> tuple[bytes, bytes, bytes, int]:
@@ -289,9 +277,7 @@ def _header(path: Path, line: bytes) -> str:
 
 def _explanation(text: _Text, error: str) -> str:
     """Explain an error of NumPy, which counts rows and columns from 1."""
-    ragged = (
-        r"the dtype passed requires (\d+) columns but (\d+) were found at row (\d+)"
-    )
+    ragged = r".* requires (\d+) columns but (\d+) were found at row (\d+)"
     if match := re.match(ragged, error):
         valid, found, row = map(int, match.groups())
         cells = f"{found} cells; valid are {valid}, one for each column name"

@@ -8,7 +8,7 @@ from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.labels import is_time, parse_label, split_unit
-from hybrid.recording.table import MOST_COLUMNS, LogTable, check_numbers
+from hybrid.recording.table import MOST_COLUMNS, LogTable, check_most, check_numbers
 
 Fields = Mapping[str, AnyArray]  # each of shape (N,) or (N, n)
 NAMES = ("joints", "joint_names")  # labels of arrays that name the joints
@@ -23,17 +23,13 @@ def table_of_arrays(
 ) -> LogTable:
     """Make a table of arrays by label; a matrix has a column for each joint.
 
-    Args:
-        arrays: Array by label; for large files only with the right shape and type.
-            Text under one of ``NAMES`` names the joints.
-        source: File, for messages.
-        get: Loads arrays by label; by default ``arrays`` themselves are used.
-        more: Further fields of the table.
+    Text under one of ``NAMES`` names the joints. Where ``get`` loads the arrays, those
+    given need the right shape and type only; ``more`` are fields of the table.
     """
     load: Get = get or (lambda _: arrays)
     named = [k for k in NAMES if k in arrays and arrays[k].dtype.kind in "SUO"]
     names = _texts(load(named)[named[0]]) if named else None
-    layout: list[tuple[str, str, int | None]] = []  # label, array, column of it
+    layout: list[tuple[str, str, Any]] = []  # label, array, index of the column in it
     for label, x in arrays.items():
         if label in named:
             continue
@@ -41,17 +37,14 @@ def table_of_arrays(
         if timed or parse_label(label).channel:
             check_numbers(x, label, source, timed=timed, most_axes=2)
         if is_time(label) or x.ndim != 2:
-            layout.append((label, label, None))
+            layout.append((label, label, ()))
         else:
             columns = _labels(label, x.shape[1], names, source)
-            layout += [(column, label, k) for k, column in enumerate(columns)]
+            layout += [(name, label, (..., k)) for k, name in enumerate(columns)]
 
     def blocks(used: tuple[int, ...]) -> list[dict[int, AnyArray]]:
-        fields, columns = load(dict.fromkeys(layout[k][1] for k in used)), {}
-        for k in used:
-            _, label, place = layout[k]
-            columns[k] = fields[label] if place is None else fields[label][:, place]
-        return [columns]
+        fields = load(dict.fromkeys(layout[k][1] for k in used))
+        return [{k: fields[layout[k][1]][layout[k][2]] for k in used}]
 
     labels = tuple(label for label, _, _ in layout)
     return LogTable(source, labels, blocks, joints=names, **more)
@@ -68,14 +61,13 @@ def _labels(
     label: str, count: int, joints: tuple[str, ...] | None, source: str
 ) -> list[str]:
     """Labels of the columns of an array (N, n)."""
-    valid = ""
-    if count > MOST_COLUMNS:  # an array without rows may state any shape
-        valid = f"up to {MOST_COLUMNS}"
-    elif joints is not None and parse_label(label).channel and count != len(joints):
-        valid = f"{len(joints)}, one for each of joints {', '.join(joints)}"
-    if valid:
+    where = f"{source}: {printable(label)}"
+    # An array without rows may state any shape.
+    check_most(where, count, "columns", MOST_COLUMNS)
+    if joints is not None and parse_label(label).channel and count != len(joints):
         raise RecordingError(
-            f"{source}: {printable(label)} has {count} columns; valid are {valid}"
+            f"{where}: {count} columns; valid are {len(joints)}, one for each of "
+            f"joints {', '.join(joints)}"
         )
     word, unit = split_unit(label)
     unit = f" [{unit}]" if unit else ""
@@ -88,11 +80,7 @@ def named_labels(labels: Sequence[str], texts: Mapping[str, str]) -> tuple[str, 
     """Replace numbers in labels by names that other columns hold.
 
     ``rostopic echo -p`` writes the name of a joint as the value of ``field.name0``, and
-    its position as ``field.position0``.
-
-    Args:
-        labels: Labels of a table.
-        texts: Text in the first row by label.
+    its position as ``field.position0``; ``texts`` are those of the first row, by label.
     """
     names = {
         match.group(1, 2): text

@@ -15,12 +15,9 @@ _UNNAMED = "__index_level_0__"  # an unnamed index of pandas in a file
 
 
 def table_of_frame(frame: Any, source: str = "table", **more: Any) -> LogTable:
-    """Make a table of a frame; a column of lists has a column for each entry.
+    """Make a table of a frame of pandas, polars or pyarrow, or of a dict of arrays.
 
-    Args:
-        frame: A dict of arrays, or a table of pandas, polars or pyarrow.
-        source: File, for messages.
-        more: Further fields of the table.
+    A column of lists has a column for each entry; ``more`` are fields of the table.
     """
     if isinstance(frame, Mapping):
         arrays = {str(label): np.asarray(x) for label, x in frame.items()}

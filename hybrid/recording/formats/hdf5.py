@@ -10,20 +10,18 @@ from typing import Any
 import numpy as np
 
 from hybrid.arrays import AnyArray
-from hybrid.errors import RecordingError
+from hybrid.extras import check_extra
 from hybrid.recording.formats.fields import NAMES, table_of_arrays
 from hybrid.recording.labels import is_time, parse_label, split_unit
 from hybrid.recording.table import (
-    LARGEST_FILE,
     LogTable,
     NoJointsError,
     as_recording_error,
+    check_most,
 )
 
 _HEAP = re.compile(rb"GCOL\x01\0\0\0")
 _HEADER = 16  # bytes of a heap, and of an object in it
-_MOST = 20_000  # groups and arrays in a file
-_DEEPEST = 16  # nesting levels of groups
 _EPISODE = re.compile(
     r"(.*/)?(demo|episode|ep|trajectory|traj|run)_?\d+", re.IGNORECASE
 )
@@ -34,10 +32,8 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
     arrays, rate = arrays_of(path)
     groups: dict[str, dict[str, AnyArray]] = {}
     for name, x in arrays.items():
-        match = _EPISODE.match(name)
-        episode = match.group(0) if match else ""
-        label = name[len(episode) :].strip("/")
-        groups.setdefault(episode, {})[label] = x
+        episode = match.group() if (match := _EPISODE.match(name)) else ""
+        groups.setdefault(episode, {})[name[len(episode) :].strip("/")] = x
     logs = [
         (_table(group, episode, str(path), rate),)
         for episode, group in sorted(groups.items(), key=lambda x: _natural(x[0]))
@@ -52,12 +48,9 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
 
 def arrays_of(path: Path) -> tuple[dict[str, AnyArray], float]:
     """Read all arrays of a file by path, and the rate that robomimic states, [Hz]."""
-    try:
-        import h5py
-    except ImportError as error:
-        raise RecordingError(
-            f"{path}: HDF5 is read by h5py; install it: pip install 'hybrid-arm[hdf5]'"
-        ) from error
+    check_extra("h5py", "hdf5", f"{path}: HDF5")
+    import h5py
+
     with as_recording_error(path, "HDF5 file"):
         _check_heaps(path)
         with h5py.File(path, "r") as file:
@@ -89,14 +82,11 @@ def _arrays(file: Any, source: str) -> dict[str, AnyArray]:
     def visit(name: str, item: Any) -> None:
         nonlocal seen, size
         seen += 1
-        if seen > _MOST or name.count("/") > _DEEPEST:
-            raise RecordingError(f"{source}: more than {_MOST} groups and arrays")
+        check_most(source, seen, "groups and arrays", 20_000)
+        check_most(source, name.count("/"), "levels of groups", 16)
         if isinstance(item, h5py.Dataset) and _is_read(item):
             size += item.size * item.dtype.itemsize
-            if size > LARGEST_FILE:
-                raise RecordingError(
-                    f"{source}: arrays of more than {LARGEST_FILE:.3g} bytes"
-                )
+            check_most(source, size, "bytes of arrays")
             found[_label_with_unit(name, item)] = item[()]
 
     file.visititems(visit)  # follows no links to other files
@@ -151,6 +141,4 @@ def _check_heaps(path: Path) -> None:
                 # not, and is padded.
                 room = length if index == 0 else _HEADER + -(-length // 8) * 8
             if room < _HEADER:
-                raise RecordingError(
-                    f"{path}: not a whole HDF5 file: a heap at byte {start} is damaged"
-                )
+                raise ValueError(f"the heap at byte {start} is damaged")

@@ -10,7 +10,7 @@ import numpy as np
 from hybrid.arrays import AnyArray
 from hybrid.errors import RecordingError
 from hybrid.recording.formats.fields import table_of_arrays
-from hybrid.recording.table import LARGEST_FILE, LogTable, as_recording_error
+from hybrid.recording.table import LogTable, as_recording_error, check_most
 
 _KIND = "NPZ file of plain arrays"
 
@@ -37,27 +37,18 @@ def _shapes(path: Path) -> dict[str, AnyArray]:
                 f"{path}: a single array; valid is an .npz archive with t, q and tau"
             )
     with as_recording_error(path, _KIND), zipfile.ZipFile(path) as archive:
-        total = sum(info.file_size for info in archive.infolist())
-        if total > LARGEST_FILE:
-            raise RecordingError(
-                f"{path}: unpacks to {total:.3g} bytes; valid are logs of "
-                f"{LARGEST_FILE:.3g} bytes or less"
-            )
-        return {
-            info.filename.removesuffix(".npy"): _shape(archive, info, path)
-            for info in archive.infolist()
-        }
+        members = archive.infolist()
+        check_most(path, sum(x.file_size for x in members), "bytes, unpacked")
+        return {x.filename.removesuffix(".npy"): _shape(archive, x) for x in members}
 
 
-def _shape(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> AnyArray:
+def _shape(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> AnyArray:
     """Array of zeros from a header, whose shape must fit the size of the file."""
+    form, size = np.lib.format, info.file_size
     with archive.open(info) as file:
-        first = np.lib.format.read_magic(file) == (1, 0)
-        header = "read_array_header_1_0" if first else "read_array_header_2_0"
-        shape, _, dtype = getattr(np.lib.format, header)(file)
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize > info.file_size:
-        raise RecordingError(
-            f"{path}: not a whole {_KIND} (truncated?): {info.filename} has shape "
-            f"{shape} of type {dtype} in {info.file_size} bytes"
-        )
+        old = form.read_magic(file) == (1, 0)
+        read = form.read_array_header_1_0 if old else form.read_array_header_2_0
+        shape, _, dtype = read(file)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize > size:
+        raise ValueError(f"{info.filename} is {shape} of {dtype} in {size} bytes")
     return np.broadcast_to(np.zeros((), dtype), shape)

@@ -9,17 +9,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hybrid.errors import HybridError, RecordingError, warn
+from hybrid.errors import HybridError, warn
 from hybrid.files import read_yaml
 from hybrid.names import printable
 from hybrid.progress import Progress
+from hybrid.recording.formats.cdr import LIST, MESSAGE
 from hybrid.recording.formats.topic import Topic
-from hybrid.recording.table import LogTable, NoJointsError, as_recording_error
+from hybrid.recording.table import (
+    LogTable,
+    NoJointsError,
+    as_recording_error,
+    check_most,
+)
 
 _LARGEST_DEFINITION = 200_000  # bytes of text
-_MOST_TOPICS = 10_000
 _DEEPEST = 6  # nesting levels of messages that are searched for lists
-LARGEST_CHUNK = 1 << 30  # bytes, unpacked
+_LARGEST_CHUNK = 1 << 30  # bytes, unpacked
 _PROGRESS_STEP = 20_000  # messages between two progress messages
 
 
@@ -64,22 +69,22 @@ def _topics(connections: Any, ros2: bool, source: str) -> dict[Any, Topic]:
     """Topics to be read, by connection; warn of those with an unknown type."""
     from rosbags.typesys import Stores, get_typestore
 
-    if len(connections) > _MOST_TOPICS:
-        raise RecordingError(f"{source}: {len(connections)} topics")
+    check_most(source, len(connections), "topics", 10_000)
     known = get_typestore(Stores.ROS2_JAZZY if ros2 else Stores.ROS1_NOETIC).fielddefs
     topics: dict[Any, Topic] = {}
     for c in connections:
         try:
             types = {**known, **_defined(c)}
+            if c.msgtype not in types and "msgs/" in c.msgtype:
+                raise ValueError(f"type {c.msgtype} is not defined in the bag")
         except RecursionError:
             continue
         except Exception as error:  # the parser raises any type for a wrong text
-            _warn(source, c.topic, str(error))
+            line = (str(error).splitlines() or [""])[0][:200]
+            warn(f"{source}: left out topic {c.topic}: {line}")
             continue
         if _has_lists(c.msgtype, types, 0):
             topics[c.id, id(c.owner)] = Topic(c.topic, c.msgtype, types, ros2, source)
-        elif c.msgtype not in types and "msgs/" in c.msgtype:
-            _warn(source, c.topic, f"type {c.msgtype} is not defined in the bag")
     return topics
 
 
@@ -97,27 +102,19 @@ def _defined(connection: Any) -> dict[str, Any]:
     return get_types_from_idl("\n".join(lines))
 
 
-def _warn(source: str, topic: str, reason: str) -> None:
-    line = (reason.splitlines() or [""])[0][:200]
-    warn(f"{source}: left out topic {topic}: {line}")
-
-
 def _has_lists(kind: str, types: dict[str, Any], depth: int) -> bool:
     """Tell whether a type has lists of real numbers, but none of bytes (an image)."""
     if kind not in types or depth > _DEEPEST:
         return False
     found = False
     for _, (node, what) in types[kind][1]:
-        element, inner = int(node), what
-        if element > 2:
-            inner_node, inner = what[0]
-            if element == 4 and int(inner_node) == 1:
-                if inner[0] in ("uint8", "int8", "byte", "char"):
-                    return False
-                found |= inner[0] in ("float64", "float32")
-            element = int(inner_node)
-        if element == 2:
-            found |= _has_lists(inner, types, depth + 1)
+        inner, of = what[0] if node > MESSAGE else (node, what)
+        if node == LIST and inner < MESSAGE:
+            if of[0] in ("uint8", "int8", "byte", "char"):
+                return False
+            found |= of[0] in ("float64", "float32")
+        if inner == MESSAGE:
+            found |= _has_lists(of, types, depth + 1)
     return found
 
 
@@ -135,7 +132,7 @@ def _fill(reader: Any, topics: dict[Any, Topic], name: str, progress: Any) -> No
 
 
 def _check_chunks(file: Path) -> None:
-    """Refuse an MCAP bag with a chunk that unpacks to more than ``LARGEST_CHUNK``.
+    """Refuse an MCAP bag with a chunk that unpacks to more than 1 GiB.
 
     The reader checks the declared size only after unpacking, and zstandard can unpack
     to a thousand times the packed size.
@@ -148,11 +145,7 @@ def _check_chunks(file: Path) -> None:
             if head[0] == 0x06:  # a chunk; packed data follows the compression's name
                 packed = head[49 + _number(head[37:41]) :]
                 unpacked = max(_number(head[25:33]), _frame_size(packed))
-                if unpacked > LARGEST_CHUNK:
-                    raise RecordingError(
-                        f"{file}: a chunk unpacks to {unpacked:.3g} bytes; valid "
-                        f"are {LARGEST_CHUNK:.3g} or less"
-                    )
+                check_most(file, unpacked, "bytes of a chunk, unpacked", _LARGEST_CHUNK)
             at += 9 + _number(head[1:9])
 
 

@@ -14,8 +14,7 @@ class Stream:
 
     def __init__(self, labels: tuple[str, ...]) -> None:
         self.labels = labels
-        self._stamps: list[NDArray[np.int64]] = []
-        self._times: list[NDArray[np.int64]] = []
+        self._clocks: list[NDArray[np.int64]] = []  # of messages, and of the recorder
         self._blocks: list[Array] = []  # each of shape (columns, rows)
         self._parts: list[Array] = []  # of the next block
 
@@ -26,12 +25,9 @@ class Stream:
         columns: list[AnyArray],
     ) -> None:
         """Add rows: times of messages and of the recorder, [ns], and numbers."""
-        self._stamps.append(stamps)
-        self._times.append(times)
-        part = np.empty((len(columns), len(times)))
-        for own, x in zip(part, columns, strict=True):
-            own[:] = x
-        self._parts.append(part)
+        self._clocks.append(np.stack([stamps, times]))
+        part = np.array(columns, dtype=float)
+        self._parts.append(part.reshape(len(columns), len(times)))
         if sum(part.size for part in self._parts) >= BLOCK:
             self._close()
 
@@ -43,10 +39,9 @@ class Stream:
     def clock(self) -> tuple[NDArray[np.int64], bool]:
         """Take the times of all rows, [ns], and whether they are those of messages."""
         self._close()
-        stamps, self._stamps = np.concatenate(self._stamps), []
-        times, self._times = self._times, []
+        (stamps, times), self._clocks = np.concatenate(self._clocks, axis=1), []
         own = bool(stamps.any() and (stamps[1:] > stamps[:-1]).all())
-        return (stamps if own else np.concatenate(times)), own
+        return (stamps if own else times), own
 
     def take(
         self, used: tuple[int, ...], clock: NDArray[np.int64]

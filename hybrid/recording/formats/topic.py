@@ -11,51 +11,41 @@ from hybrid.errors import RecordingError
 from hybrid.names import printable
 from hybrid.recording.formats.cdr import LayoutError, MessageLayout, Path, layout_of
 from hybrid.recording.formats.stream import Stream
-from hybrid.recording.table import LARGEST_FILE, MOST_COLUMNS, Load, LogTable
+from hybrid.recording.table import MOST_COLUMNS, Load, LogTable, check_most
 
 BATCH = 4096  # messages decoded at once
 _MOST_BYTES = 16 << 20  # of messages that wait to be decoded
-_MOST_LAYOUTS = 200  # of a topic
 _CONTAINERS = ("interface_values", "values")  # of control_msgs/DynamicJointState
 _STAMP: Path = ("header", "stamp", "sec")
 _NANO: Path = ("header", "stamp", "nanosec")
 
 
 class Topic:
-    """Messages of a topic, which are decoded in batches.
-
-    Args:
-        name: Topic.
-        kind: Type of its messages.
-        types: Definitions by type.
-        ros2: Whether numbers are aligned, as in ROS 2.
-        source: Bag, for messages to the user.
-    """
+    """Messages of a topic of one type (``kind``), which are decoded in batches."""
 
     def __init__(
         self, name: str, kind: str, types: dict[str, Any], ros2: bool, source: str
     ) -> None:
         self.name, self.kind, self.types = printable(name), printable(kind), types
-        self.ros2, self.source = ros2, source
-        self._raw: list[bytes] = []
-        self._stamps: list[int] = []
+        self.ros2, self.source, self._place = ros2, source, f"{source}: {self.name}"
+        self._waiting: list[tuple[int, bytes]] = []
         self._held = self._size = 0
         self._streams: dict[tuple[str, ...], Stream] = {}
         self._layouts: list[tuple[MessageLayout, dict[str, Path]]] = []
-        self._trajectories: list[tuple[int, MessageLayout, bytes]] = []
+        self._trajectories: list[tuple[int, MessageLayout, NDArray[np.uint8]]] = []
 
     def add(self, stamp: int, raw: bytes) -> None:
         """Add a message and the recorder's time of it, [ns]."""
-        self._raw.append(raw)
-        self._stamps.append(stamp)
+        self._waiting.append((stamp, raw))
         self._held += len(raw)
-        if len(self._raw) >= BATCH or self._held > _MOST_BYTES:
+        if len(self._waiting) >= BATCH or self._held > _MOST_BYTES:
             self.decode()
 
     def decode(self) -> None:
         """Decode the messages that wait."""
-        raws, stamps = self._raw, np.array(self._stamps, dtype=np.int64)
-        self._raw, self._stamps, self._held = [], [], 0
+        raws = [raw for _, raw in self._waiting]
+        stamps = np.array([stamp for stamp, _ in self._waiting], dtype=np.int64)
+        self._waiting, self._held = [], 0
         lengths = np.array([len(raw) for raw in raws])
         for length in np.unique(lengths):
             rows = np.flatnonzero(lengths == length)
@@ -78,10 +68,9 @@ class Topic:
 
     def _table(self, labels: tuple[str, ...], load: Load, note: str = "") -> LogTable:
         names = (f"{self.name}/__time", *labels)
-        units = ("ns", *("" for _ in labels))
         preset = "joint_state" if self.kind.endswith("/JointState") else ""
         return LogTable(
-            self.source, names, load, units, kind=f"ROS ({self.kind})",
+            self.source, names, load, "ns", kind=f"ROS ({self.kind})",
             name=self.name, preset=preset, note=note,
         )  # fmt: skip
 
@@ -92,21 +81,17 @@ class Topic:
         for layout, columns in self._layouts:
             if layout.length == message.size and layout.fits(message)[0]:
                 return layout, columns
-        if len(self._layouts) >= _MOST_LAYOUTS:
-            raise self._error(f"messages of more than {_MOST_LAYOUTS} kinds")
+        check_most(self._place, len(self._layouts) + 1, "kinds of messages", 200)
         try:
             layout = layout_of(message.tobytes(), self.kind, self.types, ros2=self.ros2)
         except LayoutError as error:
-            raise RecordingError(f"{self.source}: {self.name}: {error}") from error
+            raise RecordingError(f"{self._place}: {error}") from error
         trajectory = _is_trajectory(layout)
-        if not trajectory and len(layout.numbers) > MOST_COLUMNS:
-            raise self._error(f"{len(layout.numbers)} numbers in a message")
+        if not trajectory:
+            count = len(layout.numbers)
+            check_most(self._place, count, "numbers in a message", MOST_COLUMNS)
         self._layouts.append((layout, {} if trajectory else self._labels(layout)))
         return self._layouts[-1]
-
-    def _error(self, what: str) -> RecordingError:
-        valid = "valid are joint states of an arm"
-        return RecordingError(f"{self.source}: {self.name}: {what}; {valid}")
 
     def _labels(self, layout: MessageLayout) -> dict[str, Path]:
         """Path of each number in a list by its label, with names if there are any."""
@@ -133,16 +118,15 @@ class Topic:
             seconds = layout.values(messages, _STAMP).astype(np.int64)
             stamps = seconds * 10**9 + layout.values(messages, _NANO)
         if _is_trajectory(layout):
-            pairs = zip(stamps, times, messages, strict=True)
+            starts = np.where(stamps, stamps, times).tolist()
             self._trajectories += [
-                (int(s or t), layout, message.tobytes()) for s, t, message in pairs
+                (at, layout, messages[k : k + 1].copy()) for k, at in enumerate(starts)
             ]
             return
         labels = tuple(columns)
         stream = self._streams.setdefault(labels, Stream(labels))
         self._size += 8 * len(labels) * len(times)
-        if self._size > LARGEST_FILE:
-            raise self._error(f"more than {LARGEST_FILE:.3g} bytes of numbers")
+        check_most(self._place, self._size, "bytes of numbers")
         values = [layout.values(messages, path) for path in columns.values()]
         stream.add(stamps, times, values)
 
@@ -150,14 +134,13 @@ class Topic:
         """Points of trajectories as a command; a new trajectory replaces the last."""
         points: list[tuple[int, list[float]]] = []
         joints: tuple[str, ...] = ()
-        for start, layout, raw in sorted(self._trajectories, key=lambda x: x[0]):
+        for start, layout, message in sorted(self._trajectories, key=lambda x: x[0]):
             names = tuple(
                 text for path, text in layout.texts.items() if path[0] == "joint_names"
             )
-            if joints and names != joints:
+            joints = joints or names
+            if names != joints:
                 continue
-            joints = names
-            message = np.frombuffer(raw, np.uint8)[None]
             get = {p: layout.values(message, p)[0] for p in layout.numbers}
             while points and points[-1][0] >= start:
                 points.pop()
