@@ -27,7 +27,7 @@ def build_manifest(
     *,
     format: str,
     left_out: Sequence[str],
-    memory: Sequence[str],
+    memory: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Description of an export for JSON.
 
