@@ -97,12 +97,12 @@ class View(NamedTuple):
     """
 
     table: Callable[[Any], Table]
-    columns: Callable[[Any], Mapping[str, Sequence[Any]]]
+    columns: Callable[[Any], Mapping[str, Any]]
     draw: Callable[[Any, Axes], None]
     notes: Callable[[Any], Sequence[str]] = lambda _: ()
 
 
-def _fit_columns(fit: Fit) -> dict[str, Sequence[Any]]:
+def _fit_columns(fit: Fit) -> dict[str, Any]:
     low, high = fit.estimate.interval()
     return {
         "unknown": fit.labels,
@@ -130,7 +130,7 @@ def _draw_errors(rms: Mapping[str, Any], joints: Sequence[str], ax: Axes) -> Non
     ax.set_ylabel("held-out RMS error [N·m]")
 
 
-def _validation_columns(found: Validation) -> dict[str, Sequence[Any]]:
+def _validation_columns(found: Validation) -> dict[str, Any]:
     count = len(found.rows)
     return {
         "model": [row.name for row in found.rows for _ in found.joints],
@@ -155,7 +155,7 @@ def _design_table(design: Design) -> Table:
     return Table(("unknown", "standard error to expect"), lines, caption)
 
 
-def _design_columns(design: Design) -> dict[str, Sequence[Any]]:
+def _design_columns(design: Design) -> dict[str, Any]:
     base, errors = design.observation.base, design.standard_errors()
     names = "unknown", "combination", "standard_error"
     return dict(zip(names, (base.kept_labels, base.names, errors), strict=True))
@@ -166,7 +166,7 @@ def _draw_design(design: Design, ax: Axes) -> None:
     _lines(ax, reference.t, reference.q, design.robot.joints, "position [rad]")
 
 
-def _calibration_columns(calibration: Calibration) -> dict[str, Sequence[Any]]:
+def _calibration_columns(calibration: Calibration) -> dict[str, Any]:
     found, (low, high) = calibration.parameters, calibration.solution.interval()
     names = {"correction": "name", "unit": "unit", "value": "value", "std": "std"}
     return {
@@ -194,7 +194,7 @@ def _inspection_table(inspection: Inspection) -> Table:
     return replace(found, caption=f"{inspection.recording.source}: {doubts}")
 
 
-def _inspection_columns(inspection: Inspection) -> dict[str, Sequence[Any]]:
+def _inspection_columns(inspection: Inspection) -> dict[str, Any]:
     joints = inspection.as_dict()["joints"]
     return {x.name: [row[x.name] for row in joints] for x in fields(JointCoverage)}
 
@@ -210,7 +210,7 @@ def _servos_table(servos: ServoFit) -> Table:
     return replace(gap_table(servos), caption=servos.sentence)
 
 
-def _servos_columns(servos: ServoFit) -> dict[str, Sequence[Any]]:
+def _servos_columns(servos: ServoFit) -> dict[str, Any]:
     rows = [
         {"joint": each["joint"], "quantity": name, **number}
         for each in servos.as_dict()["servos"]
@@ -239,7 +239,7 @@ def _diagnosis_table(diagnosis: Diagnosis) -> Table:
     return Table(header, lines, caption, words=True)
 
 
-def _diagnosis_columns(diagnosis: Diagnosis) -> dict[str, Sequence[Any]]:
+def _diagnosis_columns(diagnosis: Diagnosis) -> dict[str, Any]:
     found = [(x, y) for x in diagnosis.findings for y in x.parameters]
     return {
         "effect": [x.effect for x, _ in found],

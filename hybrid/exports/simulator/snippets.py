@@ -5,7 +5,7 @@ Names of joints appear as literals only.
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -132,13 +132,13 @@ def mjx_notes(robot: Robot, *, drawn: bool = False) -> list[str]:
     """
     falls = {int(row[0]) for row in robot.falling}
     motors = falls | {int(row[0]) for row in robot.ripple}
-    curved = np.flatnonzero((robot.quadratic != 0) | (robot.cubic != 0))
-    found = [
+    curved = np.flatnonzero((robot.quadratic != 0) | (robot.cubic != 0)).tolist()
+    found: list[tuple[Collection[int], str]] = [
         (curved, "for MJX on JAX: quadratic and cubic damping of {}, which it ignores"),
         (motors, "for MJX on JAX: ripple or falling friction of {}, which it refuses"),
     ]
     if drawn:
-        tied = np.flatnonzero((robot.knee != 0) & (robot.frictionloss == 0))
+        tied = np.flatnonzero((robot.knee != 0) & (robot.frictionloss == 0)).tolist()
         rising = "dry friction beside that which rises with speed"
         found[:0] = [
             (falls, "for MJX: draws of friction that falls with speed, of {}"),
@@ -147,7 +147,7 @@ def mjx_notes(robot: Robot, *, drawn: bool = False) -> list[str]:
     return [
         text.format(", ".join(robot.joints[j] for j in sorted(joints)))
         for joints, text in found
-        if len(joints)
+        if joints
     ]
 
 
