@@ -248,20 +248,10 @@ def spread(draws=500) -> Ranges:
 
 
 def run(text, monkeypatch):
-    class Kept(dict):
-        def __init__(self, **given):
-            super().__init__(given)
-
-    for name in (
-        "isaaclab",
-        "isaaclab.actuators",
-        "isaaclab.envs",
-        "isaaclab.managers",
-    ):
+    """The names of a snippet, in a world with Isaac Lab's names in it."""
+    for name in ("isaaclab", "isaaclab.actuators", "isaaclab.managers"):
         module = types.ModuleType(name)
-        module.DelayedPDActuatorCfg = module.EventTermCfg = Kept
-        module.SceneEntityCfg = lambda name, **given: (name, given)
-        module.mdp = types.SimpleNamespace(randomize_joint_parameters="draw")
+        module.DelayedPDActuatorCfg = module.EventTermCfg = dict
         monkeypatch.setitem(sys.modules, name, module)
     names = {}
     exec(compile(text, "snippet", "exec"), names)
@@ -270,9 +260,6 @@ def run(text, monkeypatch):
 
 def test_an_interval_is_of_a_joint_and_a_number():
     found = spread()
-    low, high = found.of("frictionloss")
-    np.testing.assert_array_equal([low, high], [found.low[:2], found.high[:2]])
-    assert np.isnan(found.of("armature")[0][0]) and np.isnan(found.of("mass")).all()
     content = found.as_dict()
     assert content["level"] == 0.95
     assert content["parameters"][2] == {

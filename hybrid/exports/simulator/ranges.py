@@ -46,14 +46,6 @@ class Ranges:
     correlation: Array
     draws: Array
 
-    def of(self, name: str) -> tuple[Array, Array]:
-        """Ends of a parameter's interval at each joint, (n,); NaN if it is certain."""
-        ends = np.full((2, self.robot.size), np.nan)
-        for k, (joint, own) in enumerate(self.keys):
-            if own == name:
-                ends[:, self.robot.joints.index(joint)] = self.low[k], self.high[k]
-        return ends[0], ends[1]
-
     def as_dict(self) -> dict[str, Any]:
         """Content of the YAML file."""
         return {
