@@ -374,8 +374,14 @@ def session(folder, name):
     return runtime.InferenceSession(folder / f"{name}.onnx")
 
 
-def test_onnx_is_python_for_any_batch(folders):
-    model, run = full_model(), session(folders / "onnx", "coman_like").run
+@pytest.fixture(scope="module")
+def in_onnx(folders):
+    """The full model, as ONNX's runtime has it."""
+    return session(folders / "onnx", "coman_like")
+
+
+def test_onnx_is_python_for_any_batch(in_onnx):
+    model, run = full_model(), in_onnx.run
     for samples in (1, 7, 2000):
         motion = motion_of(model.robot, samples, seed=samples)
         tau, variance = run(None, {"q": motion.q, "v": motion.v, "a": motion.a})
@@ -401,8 +407,8 @@ def test_onnx_hands_its_memory_back(tmp_path):
         np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9)
 
 
-def test_onnx_carries_its_manifest(folders):
-    found = session(folders / "onnx", "coman_like").get_modelmeta().custom_metadata_map
+def test_onnx_carries_its_manifest(folders, in_onnx):
+    found = in_onnx.get_modelmeta().custom_metadata_map
     manifest = json.loads((folders / "onnx" / "manifest.json").read_text())
     assert found["model_sha256"] == manifest["model_sha256"]
     assert json.loads(found["joints"]) == manifest["joints"]
