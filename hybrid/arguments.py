@@ -1,7 +1,7 @@
 """Refuse a call with wrong arguments, and say what is valid."""
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from inspect import Signature, isclass, signature
 from numbers import Integral, Real
@@ -47,7 +47,7 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         try:
             given = parameters.bind(*args, **kwargs)
         except TypeError as error:
-            call = f"{function.__name__}({', '.join(_listed(parameters))})"
+            call = f"{function.__name__}{_plain(parameters)}"
             raise TypeError(f"{error}; valid is {call}") from None
         for name, value in given.arguments.items():
             hint = hints().get(name, Any)
@@ -63,15 +63,13 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
     return checked
 
 
-def _listed(parameters: Signature) -> Iterator[str]:
-    """Arguments as a caller writes them; ``*`` stands before those that need a name."""
-    named = False
-    for name, x in parameters.parameters.items():
-        if x.kind is x.KEYWORD_ONLY and not named:
-            named = True
-            yield "*"
-        if name not in ("self", "cls"):
-            yield name if x.default is x.empty else f"{name}={x.default!r}"
+def _plain(call: Signature) -> Signature:
+    """A signature as a caller writes it, without types."""
+    return Signature([
+        x.replace(annotation=x.empty)
+        for name, x in call.parameters.items()
+        if name not in ("self", "cls")
+    ])  # fmt: skip
 
 
 def _fits(value: Any, hint: Any) -> bool:

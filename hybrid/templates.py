@@ -1,5 +1,6 @@
 """Fill the templates of pages and of code in other languages."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,17 @@ def render_template(path: Path, *, markup: bool = False, **content: Any) -> str:
             names from files must have gone through :mod:`hybrid.names`.
         **content: Values by their names in the template.
     """
+    template = _environment(path.parent, markup).get_template(path.name)
+    return str(template.render(**content))
+
+
+@cache
+def _environment(folder: Path, markup: bool) -> Any:
+    """Templates of a folder; each is compiled once."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # slow to load
 
     environment = Environment(
-        loader=FileSystemLoader(path.parent),
+        loader=FileSystemLoader(folder),
         autoescape=markup,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -24,4 +32,4 @@ def render_template(path: Path, *, markup: bool = False, **content: Any) -> str:
         keep_trailing_newline=not markup,
     )
     environment.filters["repr"] = repr
-    return environment.get_template(path.name).render(**content)
+    return environment

@@ -1,4 +1,4 @@
-"""Show results as tables, rows of numbers, pictures and pages.
+"""Show results as tables, columns of numbers, pictures and pages.
 
 :class:`hybrid.shown.Shown` calls what is public here.
 """
@@ -65,8 +65,7 @@ def frame(result: Any) -> Any:
     """A result as a data frame in SI units; without rows, it has its columns."""
     import pandas
 
-    view = _VIEWS[type(result)]
-    return pandas.DataFrame(view.rows(result), columns=view.columns)
+    return pandas.DataFrame(_VIEWS[type(result)].columns(result))
 
 
 def write_page(result: Any, path: str | Path) -> None:
@@ -76,14 +75,14 @@ def write_page(result: Any, path: str | Path) -> None:
         return
     view, figure = _VIEWS[type(result)], new_figure(_HEIGHT)
     view.draw(result, figure.subplots())
-    table, lines = view.table(result), view.rows(result)
+    table, columns = view.table(result), view.columns(result)
     bare = replace(table, caption="")
     sections = [Section("What was found", table=bare, figure=figure)]
     if notes := view.notes(result):
         sections.append(Section("What to take care of", "\n\n".join(notes)))
-    if lines:
-        cells = tuple(tuple(map(_cell, line.values())) for line in lines)
-        sections.append(Section("All numbers", table=Table(tuple(lines[0]), cells)))
+    lines = zip(*columns.values(), strict=True)
+    if rows := tuple(tuple(map(_cell, line)) for line in lines):
+        sections.append(Section("All numbers", table=Table(tuple(columns), rows)))
     report.write_page(path, table.caption, sections, provenance=provenance())
 
 
@@ -92,35 +91,33 @@ def _cell(x: Any) -> str:
 
 
 class View(NamedTuple):
-    """How a kind of result shows itself: a table, rows in SI units, and a picture.
+    """How a kind of result shows itself: a table, columns in SI units, and a picture.
 
-    ``columns`` are the names of its rows where there may be none, and ``notes`` are
-    sentences for its page.
+    ``notes`` are sentences for its page.
     """
 
     table: Callable[[Any], Table]
-    rows: Callable[[Any], list[dict[str, Any]]]
+    columns: Callable[[Any], Mapping[str, Any]]
     draw: Callable[[Any, Axes], None]
-    columns: Sequence[str] | None = None
     notes: Callable[[Any], Sequence[str]] = lambda _: ()
 
 
-def _fit_rows(fit: Fit) -> list[dict[str, Any]]:
+def _fit_columns(fit: Fit) -> dict[str, Any]:
     low, high = fit.estimate.interval()
-    columns = zip(
-        fit.labels, fit.names, fit.units, fit.estimate.theta, fit.estimate.std, low,
-        high, strict=True,
-    )  # fmt: skip
-    names = "unknown", "combination", "unit", "value", "std", "low", "high"
-    return [dict(zip(names, row, strict=True)) for row in columns]
+    return {
+        "unknown": fit.labels,
+        "combination": fit.names,
+        "unit": fit.units,
+        "value": fit.estimate.theta,
+        "std": fit.estimate.std,
+        "low": low,
+        "high": high,
+    }
 
 
 def _fit_notes(fit: Fit) -> list[str]:
-    """Warnings, and the parameters that the logs do not tell."""
-    return [
-        *fit.warnings,
-        *(f"Not told by these logs: {x}" for x in fit.unidentifiable),
-    ]
+    untold = (f"Not told by these logs: {x}" for x in fit.unidentifiable)
+    return [*fit.warnings, *untold]
 
 
 def _draw_fit(fit: Fit, ax: Axes) -> None:
@@ -133,14 +130,15 @@ def _draw_errors(rms: Mapping[str, Any], joints: Sequence[str], ax: Axes) -> Non
     ax.set_ylabel("held-out RMS error [N·m]")
 
 
-def _validation_rows(found: Validation) -> list[dict[str, Any]]:
-    return [
-        {"model": row.name, "joint": joint, "unit": unit, "rms": rms, "relative": part}
-        for row in found.rows
-        for joint, unit, rms, part in zip(
-            found.joints, found.units, row.rms, row.relative, strict=True
-        )
-    ]
+def _validation_columns(found: Validation) -> dict[str, Any]:
+    count = len(found.rows)
+    return {
+        "model": [row.name for row in found.rows for _ in found.joints],
+        "joint": list(found.joints) * count,
+        "unit": list(found.units) * count,
+        "rms": np.ravel([row.rms for row in found.rows]),
+        "relative": np.ravel([row.relative for row in found.rows]),
+    }
 
 
 def _draw_validation(found: Validation, ax: Axes) -> None:
@@ -148,23 +146,19 @@ def _draw_validation(found: Validation, ax: Axes) -> None:
 
 
 def _design_table(design: Design) -> Table:
-    lines = tuple(
-        (x["unknown"], f"{x['standard_error']:.3g}") for x in _design_rows(design)
-    )
+    labels, _, errors = _design_columns(design).values()
     caption = (
         f"{counted(len(design.trajectories), 'motion')} of {design.robot.name}, "
         f"condition {design.condition:.3g}"
     )
+    lines = tuple(zip(labels, (f"{x:.3g}" for x in errors), strict=True))
     return Table(("unknown", "standard error to expect"), lines, caption)
 
 
-def _design_rows(design: Design) -> list[dict[str, Any]]:
-    base = design.observation.base
-    columns = zip(base.kept_labels, base.names, design.standard_errors(), strict=True)
-    return [
-        {"unknown": label, "combination": name, "standard_error": float(x)}
-        for label, name, x in columns
-    ]
+def _design_columns(design: Design) -> dict[str, Any]:
+    base, errors = design.observation.base, design.standard_errors()
+    names = "unknown", "combination", "standard_error"
+    return dict(zip(names, (base.kept_labels, base.names, errors), strict=True))
 
 
 def _draw_design(design: Design, ax: Axes) -> None:
@@ -172,13 +166,14 @@ def _draw_design(design: Design, ax: Axes) -> None:
     _lines(ax, reference.t, reference.q, design.robot.joints, "position [rad]")
 
 
-def _calibration_rows(calibration: Calibration) -> list[dict[str, Any]]:
-    low, high = calibration.solution.interval()
-    return [
-        {"correction": x.name, "unit": x.unit, "value": x.value, "std": x.std,
-         "low": low[k], "high": high[k]}
-        for k, x in enumerate(calibration.parameters)
-    ]  # fmt: skip
+def _calibration_columns(calibration: Calibration) -> dict[str, Any]:
+    found, (low, high) = calibration.parameters, calibration.solution.interval()
+    names = {"correction": "name", "unit": "unit", "value": "value", "std": "std"}
+    return {
+        **{title: [getattr(x, own) for x in found] for title, own in names.items()},
+        "low": low,
+        "high": high,
+    }
 
 
 def _draw_calibration(calibration: Calibration, ax: Axes) -> None:
@@ -195,8 +190,13 @@ def _draw_calibration(calibration: Calibration, ax: Axes) -> None:
 def _inspection_table(inspection: Inspection) -> Table:
     found = joints_table([inspection])
     count = len(inspection.doubts)
-    doubts = f"{count} doubt{'s' * (count != 1)}" if count else "nothing against it"
+    doubts = counted(count, "doubt") if count else "nothing against it"
     return replace(found, caption=f"{inspection.recording.source}: {doubts}")
+
+
+def _inspection_columns(inspection: Inspection) -> dict[str, Any]:
+    joints = inspection.as_dict()["joints"]
+    return {x.name: [row[x.name] for row in joints] for x in fields(JointCoverage)}
 
 
 def _draw_inspection(inspection: Inspection, ax: Axes) -> None:
@@ -210,13 +210,14 @@ def _servos_table(servos: ServoFit) -> Table:
     return replace(gap_table(servos), caption=servos.sentence)
 
 
-def _servos_rows(servos: ServoFit) -> list[dict[str, Any]]:
-    return [
+def _servos_columns(servos: ServoFit) -> dict[str, Any]:
+    rows = [
         {"joint": each["joint"], "quantity": name, **number}
         for each in servos.as_dict()["servos"]
         for name, number in each.items()
         if name != "joint"
     ]
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def _draw_servos(servos: ServoFit, ax: Axes) -> None:
@@ -238,20 +239,19 @@ def _diagnosis_table(diagnosis: Diagnosis) -> Table:
     return Table(header, lines, caption, words=True)
 
 
-_FOUND = (
-    "effect", "probability", "joint", "parameter", "value", "unit", "low", "high",
-    "determined",
-)  # fmt: skip
-
-
-def _diagnosis_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    rows = [
-        (x.effect, x.probability, y.joint, y.name, y.value, y.unit, *y.interval,
-         y.determined)
-        for x in diagnosis.findings
-        for y in x.parameters
-    ]  # fmt: skip
-    return [dict(zip(_FOUND, row, strict=True)) for row in rows]
+def _diagnosis_columns(diagnosis: Diagnosis) -> dict[str, Any]:
+    found = [(x, y) for x in diagnosis.findings for y in x.parameters]
+    return {
+        "effect": [x.effect for x, _ in found],
+        "probability": [x.probability for x, _ in found],
+        "joint": [y.joint for _, y in found],
+        "parameter": [y.name for _, y in found],
+        "value": [y.value for _, y in found],
+        "unit": [y.unit for _, y in found],
+        "low": [y.interval[0] for _, y in found],
+        "high": [y.interval[1] for _, y in found],
+        "determined": [y.determined for _, y in found],
+    }
 
 
 def _draw_diagnosis(diagnosis: Diagnosis, ax: Axes) -> None:
@@ -288,16 +288,13 @@ def _lines(ax: Axes, t: Any, x: Any, joints: tuple[str, ...], label: str) -> Non
 
 
 _VIEWS = {
-    Fit: View(held_out_table, _fit_rows, _draw_fit, notes=_fit_notes),
-    Validation: View(report.table_from_validation, _validation_rows, _draw_validation),
-    Design: View(_design_table, _design_rows, _draw_design),
-    Calibration: View(corrections_table, _calibration_rows, _draw_calibration),
-    Inspection: View(
-        _inspection_table,
-        lambda x: list(x.as_dict()["joints"]),
-        _draw_inspection,
-        [x.name for x in fields(JointCoverage)],
+    Fit: View(held_out_table, _fit_columns, _draw_fit, _fit_notes),
+    Validation: View(
+        report.table_from_validation, _validation_columns, _draw_validation
     ),
-    ServoFit: View(_servos_table, _servos_rows, _draw_servos),
-    Diagnosis: View(_diagnosis_table, _diagnosis_rows, _draw_diagnosis, _FOUND),
+    Design: View(_design_table, _design_columns, _draw_design),
+    Calibration: View(corrections_table, _calibration_columns, _draw_calibration),
+    Inspection: View(_inspection_table, _inspection_columns, _draw_inspection),
+    ServoFit: View(_servos_table, _servos_columns, _draw_servos),
+    Diagnosis: View(_diagnosis_table, _diagnosis_columns, _draw_diagnosis),
 }

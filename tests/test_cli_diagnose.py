@@ -9,10 +9,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from arms import MODELS
 from rich.console import Console
+from test_cli import PLANAR, complaint, run, tree, without_progress
 
-from hybrid.cli import main
 from hybrid.cli.shared.options import sha256
 from hybrid.cli.shared.screen import Screen
 from hybrid.effects import registry
@@ -21,7 +20,6 @@ from hybrid.identification import DynamicModel
 from hybrid.recording import Recording, read, write
 from hybrid.robot import Robot
 
-PLANAR = str(MODELS / "planar.xml")
 OWN = """
 import numpy as np
 from hybrid.effects import JointEffect, Port, Quantity
@@ -39,31 +37,6 @@ class Hose(JointEffect):
     def law(state, **shapes):
         return (np.exp(-(((state.q - 0.3) / 0.14) ** 2)),)
 """
-
-
-def run(command: str) -> None:
-    assert main(command.split()) == 0
-
-
-def without_progress(err: str) -> str:
-    """What is written to standard error besides progress, which depends on time."""
-    return re.sub(r"(?m)^\d+ s: .*\n", "", err)
-
-
-def failed(capsys, command: str, code: int = 2) -> str:
-    """The one line that a command fails with."""
-    capsys.readouterr()
-    assert main(command.split()) == code
-    out, err = capsys.readouterr()
-    err = without_progress(err)
-    assert out == "" and err.startswith("error: ") and err.count("\n") == 1, err
-    return err
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder with its content, hidden ones too."""
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 @pytest.fixture(scope="module")
@@ -306,7 +279,7 @@ def test_ctrl_c_leaves_what_was_there(
         (out / "report.html").write_text("old")
     before = tree(tmp_path)
     monkeypatch.setattr(import_module(home), step, interrupted)
-    assert "interrupted" in failed(capsys, f"{diagnose} --out {out}", code=130)
+    assert "interrupted" in complaint(capsys, f"{diagnose} --out {out}", code=130)
     assert tree(tmp_path) == before
     assert out.exists() is not is_new
 
@@ -331,7 +304,7 @@ def test_bad_input_is_one_line_and_writes_nothing(diagnose, logs, tmp_path, caps
         f"{alone}/silent.csv --out {tmp_path}/x": "neither torque nor command",
         f"{alone}/still.csv --out {tmp_path}/x": "no joint moves",
     }.items():
-        assert words in failed(capsys, command), command
+        assert words in complaint(capsys, command), command
     assert tree(tmp_path) == before
 
 

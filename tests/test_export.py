@@ -145,6 +145,12 @@ def folders(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def in_c(folders):
+    """The full model, compiled."""
+    return compiled(folders / "c", "coman_like", 6)
+
+
 # --- the tape -------------------------------------------------------------------------
 
 
@@ -271,10 +277,9 @@ def test_an_effect_with_no_torque_at_one_instant_is_named():
 # --- C --------------------------------------------------------------------------------
 
 
-def test_c_is_python_on_ten_thousand_random_states(folders):
+def test_c_is_python_on_ten_thousand_random_states(in_c):
     model, motion = full_model(), motion_of(full_model().robot, 10_000)
-    torque = compiled(folders / "c", "coman_like", 6)
-    bad, tau, variance = torque(motion.q, motion.v, motion.a)
+    bad, tau, variance = in_c(motion.q, motion.v, motion.a)
     assert bad == 0
     np.testing.assert_allclose(tau, model.predict(motion), rtol=0, atol=1e-9)
     expected = learned_variance(model, motion)
@@ -341,13 +346,12 @@ def test_a_leading_drive_shows_no_noise_that_no_fit_has_seen():
     assert np.abs(error).max() < 0.15 * np.abs(expected - moved)[500:-500].max()
 
 
-def test_c_refuses_numbers_that_are_not_finite(folders):
-    torque = compiled(folders / "c", "coman_like", 6)
+def test_c_refuses_numbers_that_are_not_finite(in_c):
     zero = np.zeros((1, 6))
     for k, bad in enumerate((np.nan, np.inf, -np.inf)):
         states = [zero.copy() for _ in range(3)]
         states[k][0, 2] = bad
-        status, tau, _ = torque(*states)
+        status, tau, _ = in_c(*states)
         assert status == -1
         assert not tau.any()
 
@@ -370,8 +374,14 @@ def session(folder, name):
     return runtime.InferenceSession(folder / f"{name}.onnx")
 
 
-def test_onnx_is_python_for_any_batch(folders):
-    model, run = full_model(), session(folders / "onnx", "coman_like").run
+@pytest.fixture(scope="module")
+def in_onnx(folders):
+    """The full model, as ONNX's runtime has it."""
+    return session(folders / "onnx", "coman_like")
+
+
+def test_onnx_is_python_for_any_batch(in_onnx):
+    model, run = full_model(), in_onnx.run
     for samples in (1, 7, 2000):
         motion = motion_of(model.robot, samples, seed=samples)
         tau, variance = run(None, {"q": motion.q, "v": motion.v, "a": motion.a})
@@ -397,8 +407,8 @@ def test_onnx_hands_its_memory_back(tmp_path):
         np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9)
 
 
-def test_onnx_carries_its_manifest(folders):
-    found = session(folders / "onnx", "coman_like").get_modelmeta().custom_metadata_map
+def test_onnx_carries_its_manifest(folders, in_onnx):
+    found = in_onnx.get_modelmeta().custom_metadata_map
     manifest = json.loads((folders / "onnx" / "manifest.json").read_text())
     assert found["model_sha256"] == manifest["model_sha256"]
     assert json.loads(found["joints"]) == manifest["joints"]

@@ -61,7 +61,9 @@ def effect_of(name, **values):
 def motion_of(effect_id):
     """A noise-free recording of an arm with an effect; and the gap of its simulator."""
     robot, rng = arm("planar"), np.random.default_rng(4)
-    reference = random_fourier(robot, duration=3.5, rate=500.0, seed=rng)
+    whole = random_fourier(robot, duration=3.5, rate=500.0, seed=rng)
+    parts = {x: getattr(whole, x)[whole.t <= 2.0] for x in ("t", "q", "v", "a")}
+    reference = replace(whole, **parts)
     effects = [effect_of(effect_id, **EXACT.get(effect_id, {}))] if effect_id else []
     plant = Plant(robot, effects, nominal=robot, noise=Noise.none(robot.size))
     with warnings.catch_warnings():

@@ -61,7 +61,7 @@ def torques(n: int = 3, samples: int = 200):
 
 
 def drawing():
-    return torque_figure(*torques(), JOINTS)
+    return torque_figure(*torques(1), JOINTS[:1])
 
 
 class Loads(HTMLParser):

@@ -9,7 +9,6 @@ import sys
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Collection, Sequence
 from importlib import import_module
-from pathlib import Path
 from signal import SIGTERM, signal
 from threading import current_thread, main_thread
 from typing import Any, NoReturn
@@ -139,29 +138,12 @@ def build_parser(known: Collection[str] = tuple(_VERBS)) -> Parser:
         verb = verbs.add_parser(name, help=does, description=does)
         if name in known:
             module = import_module(f"hybrid.cli.{name}")
+            options = import_module("hybrid.cli.shared.options")
             verb.epilog = module.HELP
             module.add_arguments(verb)
-            _add_common(verb)
+            options.add(verb, "--effects-from", "--json")
             verb.set_defaults(run=module.run, verb=name, parser=verb)
     return parser
-
-
-def _add_common(parser: ArgumentParser) -> None:
-    """Add ``--effects-from`` and ``--json``."""
-    parser.add_argument(
-        "--effects-from",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE.py",
-        help="load effects of your own from a Python file; may be repeated",
-    )
-    parser.add_argument(
-        "--json",
-        type=Path,
-        metavar="FILE",
-        help="write the results, and how they came about, for other programs",
-    )
 
 
 def _parsed(argv: Sequence[str]) -> Namespace:

@@ -58,32 +58,19 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     options.add_robot(parser)
     task = parser.add_mutually_exclusive_group(required=True)
-    task.add_argument(
-        "--poses", type=Path, metavar="FILE.csv", help="what was measured"
-    )
-    task.add_argument(
-        "--choose", type=options.count, metavar="N", help="poses to measure, instead"
-    )
+    options.option(task, "--poses FILE.csv", "what was measured", type=Path)
+    words = "poses to measure, instead"
+    options.option(task, "--choose N", words, type=options.count)
     options.add(parser, "--out", "--seed")
-    parser.add_argument(
-        "--free",
-        type=options.names,
-        default=("base", "tool", "geometry"),
-        metavar="LIST",
-        help="what is unknown, of base, tool, geometry (default: these), compliance "
-        "(of the joints under gravity) and scale (of a distance meter)",
-    )
-    parser.add_argument(
-        "--measure",
-        choices=("position", "pose"),
-        default="position",
-        help="with --choose: what will be measured (default: position)",
-    )
-    parser.add_argument(
-        "--keep-outliers",
-        action="store_true",
-        help="plain least squares over all measurements",
-    )
+    free = "base", "tool", "geometry"
+    words = "what is unknown, of base, tool, geometry (default: these), compliance "
+    words += "(of the joints under gravity) and scale (of a distance meter)"
+    options.option(parser, "--free LIST", words, type=options.names, default=free)
+    words = "with --choose: what will be measured (default: position)"
+    kinds = "position", "pose"
+    options.option(parser, "--measure", words, choices=kinds, default=kinds[0])
+    words = "plain least squares over all measurements"
+    options.option(parser, "--keep-outliers", words, action="store_true")
 
 
 def run(args: Namespace, screen: Screen) -> None:

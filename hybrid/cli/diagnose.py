@@ -51,13 +51,9 @@ examples:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     options.add_robot(parser, required=False, more=", the simulator as it stands today")
-    parser.add_argument(
-        "--baseline",
-        type=Path,
-        metavar="MODEL.json",
-        help="a model of the healthy arm, as identify writes it, in place of --robot: "
-        "what has changed since?",
-    )
+    words = "a model of the healthy arm, as identify writes it, in place of --robot: "
+    words += "what has changed since?"
+    options.option(parser, "--baseline MODEL.json", words, type=Path)
     options.add(parser, "--recordings", "--map", "--out", "--cutoff", "--seed")
     servos.add_arguments(
         parser,
@@ -65,15 +61,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         "link that a joint moves, the file's other links being off by the same factor; "
         "with --baseline, of what was mounted on that link since",
     )
-    parser.add_argument(
-        "--rerun",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="write the arm, its replays and the gap over time to scrub through, .rrd "
-        "for Rerun or .mcap for Foxglove; may be repeated",
-    )
+    words = "write the arm, its replays and the gap over time to scrub through, .rrd "
+    words += "for Rerun or .mcap for Foxglove; may be repeated"
+    repeated = {"action": "append", "default": [], "type": Path}
+    options.option(parser, "--rerun FILE", words, **repeated)
 
 
 def run(args: Namespace, screen: Screen) -> None:
@@ -81,14 +72,14 @@ def run(args: Namespace, screen: Screen) -> None:
     for path in args.rerun:
         writer_of(path)  # refuses what cannot be written
     simulator = _simulator(args)
-    robot = _arm(simulator)
+    robot = simulator if isinstance(simulator, Robot) else simulator.robot
     recordings = options.read_logs(args, screen, robot.joints, torque=False)
     outputs = [
         args.out / name for name in (PAGE, CONTENT, fixed.SIMULATOR, fixed.MODEL)
     ]
     options.begin(args, *outputs, *args.rerun)
     if not servos.check_arguments(args, recordings, weighed=True):
-        _diagnose_torque(args, simulator, recordings, screen)
+        _diagnose_torque(args, robot, simulator, recordings, screen)
     elif args.baseline:
         raise HybridError("--baseline needs logs with torque; these have none")
     else:
@@ -97,11 +88,12 @@ def run(args: Namespace, screen: Screen) -> None:
 
 def _diagnose_torque(
     args: Namespace,
+    robot: Robot,
     simulator: Robot | DynamicModel,
     recordings: Sequence[Recording],
     screen: Screen,
 ) -> None:
-    with screen.working(f"diagnosing {_arm(simulator).name}") as tell:
+    with screen.working(f"diagnosing {robot.name}") as tell:
         result = diagnose.examine(
             simulator,
             recordings,
@@ -149,10 +141,6 @@ def _to_viewers(args: Namespace, screen: Screen, scene: Callable[[], Scene]) -> 
     for path in args.rerun:
         writer_of(path)(shown, path)
         screen.say(f"Recording to scrub through: {path}")
-
-
-def _arm(simulator: Robot | DynamicModel) -> Robot:
-    return simulator if isinstance(simulator, Robot) else simulator.robot
 
 
 def _simulator(args: Namespace) -> Robot | DynamicModel:

@@ -53,48 +53,36 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     options.add_robot(parser)
     options.add(parser, "--out", "--seed")
-    parser.add_argument(
-        "--effects",
-        metavar="LIST",
-        help="effects to be identified beside the rigid body; laws of one joint "
-        f"(default {FITTED}; for condition none)",
+    words = "effects to be identified beside the rigid body; laws of one joint "
+    words += f"(default {FITTED}; for condition none)"
+    options.option(parser, "--effects LIST", words)
+    words = (
+        "error: expected torque error on random motions within the limits (default); "
+        "d: volume of the confidence ellipsoid; condition: number of the observation "
+        "matrix, torque in N·m"
     )
-    parser.add_argument(
-        "--criterion",
-        choices=tuple(_CRITERIA),
-        default="error",
-        help="error: expected torque error on random motions within the limits "
-        "(default); d: volume of the confidence ellipsoid; condition: number of the "
-        "observation matrix, torque in N·m",
+    options.option(
+        parser, "--criterion", words, choices=tuple(_CRITERIA), default="error"
     )
     _add_motion(parser)
 
 
 def _add_motion(parser: ArgumentParser) -> None:
     parser.add_argument("--family", choices=("fourier", "spline"), default="fourier")
-    parser.add_argument("--trajectories", type=options.count, default=1, metavar="N")
-    parser.add_argument(
-        "--together",
-        action="store_true",
-        help="choose the N motions as a set, not one after the other: better, slower",
-    )
-    parser.add_argument("--starts", type=options.count, default=3, metavar="N")
-    options.add_number(parser, "--duration", "S", "of each, s", 20.0)
-    parser.add_argument(
-        "--order",
-        type=options.count,
-        default=10,
-        metavar="N",
-        help="harmonics (default 10)",
-    )
-    options.add_number(parser, "--rate", "HZ", "of the CSV", 500.0)
+    options.option(parser, "--trajectories N", type=options.count, default=1)
+    words = "choose the N motions as a set, not one after the other: better, slower"
+    options.option(parser, "--together", words, action="store_true")
+    options.option(parser, "--starts N", type=options.count, default=3)
+    options.number(parser, "--duration S", "of each, s", 20.0)
+    words = "harmonics (default 10)"
+    options.option(parser, "--order N", words, type=options.count, default=10)
+    options.number(parser, "--rate HZ", "of the CSV", 500.0)
     words = "part of position, speed, acceleration and torque limits to use"
-    options.add_number(parser, "--fill", "PART", words, 0.8)
-    options.add_number(parser, "--jerk", "J", "limit, rad/s³")
-    options.add_number(parser, "--clearance", "M", "least distance of links, m")
-    parser.add_argument(
-        "--floor", type=float, metavar="Z", help="height that links stay above, m"
-    )
+    options.number(parser, "--fill PART", words, 0.8)
+    options.number(parser, "--jerk J", "limit, rad/s³")
+    options.number(parser, "--clearance M", "least distance of links, m")
+    words = "height that links stay above, m"
+    options.option(parser, "--floor Z", words, type=float)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -31,24 +31,13 @@ examples:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("plan", type=Path, metavar="PLAN", help="YAML file, or folder")
-    parser.add_argument(
-        "--robot",
-        type=robot_file,
-        metavar="FILE",
-        help="the arms, if PLAN is a folder",
-    )
+    words = "the arms, if PLAN is a folder"
+    options.option(parser, "--robot FILE", words, type=robot_file)
     options.add(parser, "--out")
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="of a Dask scheduler (default: the cores of this machine)",
-    )
-    parser.add_argument(
-        "--workers",
-        type=options.count,
-        metavar="N",
-        help="processes here (default: one a core)",
-    )
+    words = "of a Dask scheduler (default: the cores of this machine)"
+    options.option(parser, "--scheduler ADDRESS", words)
+    words = "processes here (default: one a core)"
+    options.option(parser, "--workers N", words, type=options.count)
 
 
 def run(args: Namespace, screen: Screen) -> None:

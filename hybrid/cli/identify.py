@@ -38,35 +38,18 @@ def add_arguments(parser: ArgumentParser) -> None:
     options.add_robot(parser)
     options.add(parser, "--recordings", "--map", "--seed")
     options.add(parser, "--out", metavar="MODEL.json")
-    parser.add_argument(
-        "--estimator",
-        default="irls",
-        metavar="NAME",
-        help="ls, wls or irls (default): the last way to weigh joints that is tried",
-    )
-    parser.add_argument(
-        "--stages",
-        type=options.names,
-        default=STAGES,
-        metavar="LIST",
-        help="of rigid, friction, ripple, remainder (default: all); rigid always runs",
-    )
-    parser.add_argument(
-        "--effects",
-        default="",
-        metavar="LIST",
-        help="more effects whose gains shall be found, as effect[:joint[+joint]]"
-        "[(shape=value;...)] between commas; see 'hybrid effects'",
-    )
+    words = "ls, wls or irls (default): the last way to weigh joints that is tried"
+    options.option(parser, "--estimator NAME", words, default="irls")
+    words = "of rigid, friction, ripple, remainder (default: all); rigid always runs"
+    options.option(parser, "--stages LIST", words, type=options.names, default=STAGES)
+    words = "more effects whose gains shall be found, as effect[:joint[+joint]]"
+    words += "[(shape=value;...)] between commas; see 'hybrid effects'"
+    options.option(parser, "--effects LIST", words, default="")
     options.add(parser, "--cutoff")
-    parser.add_argument(
-        "--robust", action="store_true", help="weigh down stretches that do not fit"
-    )
-    parser.add_argument(
-        "--consistent",
-        action="store_true",
-        help="give the links parameters of bodies that could be built",
-    )
+    words = "weigh down stretches that do not fit"
+    options.option(parser, "--robust", words, action="store_true")
+    words = "give the links parameters of bodies that could be built"
+    options.option(parser, "--consistent", words, action="store_true")
     servos.add_arguments(parser)
 
 

@@ -38,9 +38,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     )
     options.add(parser, "--map")
     options.add_robot(parser, required=False, more=", to hold the logs against physics")
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE.html", help="write all of it, with a picture"
-    )
+    words = "write all of it, with a picture"
+    options.option(parser, "--page FILE.html", words, type=Path)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -24,16 +24,11 @@ examples:
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the verb's arguments."""
     options.add_robot(parser, more=", or a truth in YAML")
-    parser.add_argument(
-        "--effects",
-        default="",
-        metavar="LIST",
-        help="effect[:joint[+joint]][(name=value;...)] between commas, at their usual "
-        "size; see 'hybrid effects' (default: none beside those of a truth)",
-    )
-    parser.add_argument("--trajectories", type=options.count, default=4, metavar="N")
-    words = "length of each trajectory, s"
-    options.add_number(parser, "--duration", "S", words, 10.0)
+    words = "effect[:joint[+joint]][(name=value;...)] between commas, at their usual "
+    words += "size; see 'hybrid effects' (default: none beside those of a truth)"
+    options.option(parser, "--effects LIST", words, default="")
+    options.option(parser, "--trajectories N", type=options.count, default=4)
+    options.number(parser, "--duration S", "length of each trajectory, s", 10.0)
     options.add(parser, "--out", "--seed")
     parser.add_argument("--format", choices=("csv", "parquet", "npz"), default="csv")
 

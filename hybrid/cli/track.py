@@ -40,7 +40,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     options.add(parser, "--model", "--recording", "--map")
     options.add(parser, "--out", metavar="FILE")
     words = "relative standard deviation of the model's parameters"
-    options.add_number(parser, "--prior", "SHARE", words, 0.05)
+    options.number(parser, "--prior SHARE", words, 0.05)
 
 
 def run(args: Namespace, screen: Screen) -> None:

@@ -1,6 +1,7 @@
 """Export a model in a format that other programs run."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,26 +70,22 @@ def export(
         check_extra(*_LIBRARIES[format])
     stem = file_stem(model.robot.name)
     with atomic_folder(folder, lambda old, new: seal(manifest, new, old)) as hidden:
-        program = program_from_model(model) if format in _PROGRAMS else None
-        if program is None:
-            left_out = _write_file(model, format, hidden / stem, motions, folder)
+        path, describe = hidden / stem, partial(build_manifest, model, format=format)
+        if format in _PROGRAMS:
+            program = program_from_model(model)
+            manifest = describe(left_out=program.left_out, memory=program.memory_names)
+            _write_program(program, model, manifest, path)
         else:
-            left_out = program.left_out
-        manifest = build_manifest(
-            model,
-            format=format,
-            left_out=left_out,
-            memory=() if program is None else program.memory_names,
-        )
-        if program is not None:
-            _write_program(program, model, manifest, hidden / stem)
-    return left_out
+            manifest = describe(
+                left_out=_write_file(model, path, format, motions, folder)
+            )
+    return tuple(manifest["left_out"])
 
 
 def _write_file(
     model: DynamicModel,
-    format: str,
     path: Path,
+    format: str,
     motions: Sequence[Motion],
     home: str | Path,
 ) -> tuple[str, ...]:
@@ -105,7 +102,7 @@ def _write_file(
         return left_out
     edited = model_simulator(model, kind=format, motions=motions, folder=home)
     edited.write(path.with_name(f"{path.name}.{'xml' if format == 'mjcf' else 'urdf'}"))
-    return edited.notes + (tuple(mjx_notes(edited.robot)) if format == "mjcf" else ())
+    return (*edited.notes, *(mjx_notes(edited.robot) if format == "mjcf" else ()))
 
 
 def _write_program(

@@ -11,7 +11,6 @@ from hybrid.errors import ModelFileError
 from hybrid.files import read_json, write_json
 from hybrid.model.dynamic_model import DynamicModel
 from hybrid.model.model_file import content_from_model
-from hybrid.robot import Robot
 from hybrid.shown import plain
 
 SCHEMA = "hybrid.export/2"
@@ -27,7 +26,7 @@ def build_manifest(
     *,
     format: str,
     left_out: Sequence[str],
-    memory: Sequence[str],
+    memory: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Description of an export for JSON.
 
@@ -35,6 +34,7 @@ def build_manifest(
     """
     robot = model.robot
     limits = ("q_min", "q_max", "v_max", "a_max", "tau_max")
+    units = {name: robot.chain.units(unit) for name, unit in _UNITS.items()}
     content = {
         "schema": SCHEMA,
         "version": __version__,
@@ -43,7 +43,7 @@ def build_manifest(
         "robot": robot.name,
         "fingerprint": robot.fingerprint(),
         "joints": robot.joints,
-        "units": _units(robot),
+        "units": {k: x[0] if len({*x}) == 1 else x for k, x in units.items()},
         "limits": {name: getattr(robot, name) for name in limits},
         "training_range": dict(sorted(model.range.items())),
         "cutoff": model.cutoff,
@@ -122,11 +122,6 @@ def _check_files(folder: Path, files: Mapping[str, str]) -> None:
             raise ModelFileError(f"{file}: missing; {FILE} names it")
         if hashlib.sha256(file.read_bytes()).hexdigest() != digest:
             raise ModelFileError(f"{file}: changed since it was exported")
-
-
-def _units(robot: Robot) -> dict[str, str | list[str]]:
-    each = {name: robot.chain.units(unit) for name, unit in _UNITS.items()}
-    return {k: x[0] if len(set(x)) == 1 else [*x] for k, x in each.items()}
 
 
 def _series(version: str) -> list[str]:

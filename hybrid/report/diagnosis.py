@@ -115,12 +115,9 @@ def _rms(x: Array) -> float:
 
 def _arm(result: Result) -> dict[str, Any]:
     """Joints and capsules of the arm at the first sample, [m]."""
-    postures = Postures.of(result.gap.robot, result.gap.sampled.q[:1])
-    return {
-        "joints": postures.joints[0].round(4).tolist(),
-        "ends": postures.ends[0].round(4).tolist(),
-        "radius": postures.radius.round(4).tolist(),
-    }
+    found = Postures.of(result.gap.robot, result.gap.sampled.q[:1])
+    parts = {"joints": found.joints[0], "ends": found.ends[0], "radius": found.radius}
+    return {name: x.round(4).tolist() for name, x in parts.items()}
 
 
 def _shares(diagnosis: Diagnosis, inks: Sequence[str]) -> list[tuple[str, str, float]]:

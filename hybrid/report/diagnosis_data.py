@@ -4,7 +4,7 @@ Curves have few points, all of held-out samples.
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -195,10 +195,14 @@ def evidence_matrix(result: Result) -> Matrix:
         (j,) = effect.joints
         cells.setdefault(effect.id, {})[j] = _delay_cell(result, j)
     order = sorted(cells, key=lambda e: max(map(_rank, cells[e].values())))[::-1]
-    shown = [e for e in order if any(map(_has_evidence, cells[e].values()))]
-    rows = tuple((e, tuple(_filled(cells[e], len(joints)))) for e in shown)
-    silent = tuple(sorted(e for e in order if e not in shown))
-    return Matrix(rows, silent)
+    least = _LEAST_EVIDENCE / _DECADE
+    shown = [
+        e
+        for e in order
+        if any(c.named or max(c.alone, c.beside) > least for c in cells[e].values())
+    ]
+    rows = tuple((e, _filled(cells[e], len(joints))) for e in shown)
+    return Matrix(rows, silent=tuple(sorted({*order} - {*shown})))
 
 
 def _delay_cell(result: Result, j: int) -> Cell:
@@ -217,14 +221,8 @@ def _rank(cell: Cell) -> tuple[bool, float]:
     return cell.named, cell.alone
 
 
-def _has_evidence(cell: Cell) -> bool:
-    return cell.named or max(cell.alone, cell.beside) > _LEAST_EVIDENCE / _DECADE
-
-
-def _filled(row: dict[int, Cell], size: int) -> Iterator[Cell]:
+def _filled(row: dict[int, Cell], size: int) -> tuple[Cell, ...]:
     """The cells of a row, with empty ones where there is none."""
-    column = 0
-    while column < size:
-        cell = row.get(column, Cell(1, "", 0.0, 0.0, False))
-        yield cell
-        column += cell.width
+    if 0 in row and row[0].width == size:
+        return (row[0],)
+    return tuple(row.get(k, Cell(1, "", 0.0, 0.0, False)) for k in range(size))

@@ -1,6 +1,5 @@
 """Show a fleet: ranked list, heat map, timelines, and gauges for Prometheus."""
 
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -34,6 +33,7 @@ _CHANGED = "Diagnosed against the baseline"
 _DIAGNOSIS = "What hybrid diagnose --baseline says has changed since."
 _MOST = 6.0  # standard deviations between arms, of the darkest colour
 _NEVER = 36500  # days
+_ESCAPES = str.maketrans({"\n": " ", '"': r"\"", "\\": r"\\"})  # of Prometheus
 
 
 def change_sentence(state: State, change: Change) -> str:
@@ -224,10 +224,11 @@ def write_fleet_pages(
     folder: Path, fleet: Fleet, *, provenance: Mapping[str, Any]
 ) -> Path:
     """Write ``report.html``, a page for each arm that it names, and ``fleet.prom``."""
-    named = dict.fromkeys(x.arm for x in fleet.alarms)
-    named |= dict.fromkeys(x.arm for x in fleet.states if x.unlike)
-    named |= dict.fromkeys(arm for arm, _ in fleet.diagnoses)
-    named |= dict.fromkeys(islice(_ranked(fleet), _MOST_ROWS))
+    ranked = islice(_ranked(fleet), _MOST_ROWS)
+    unlike = (x.arm for x in fleet.states if x.unlike)
+    diagnosed = (arm for arm, _ in fleet.diagnoses)
+    changed = list(dict.fromkeys(x.arm for x in fleet.alarms))
+    named = dict.fromkeys([*changed, *unlike, *diagnosed, *ranked])
     stems = file_stems(list(named)[:_MOST_PAGES])
     pages = {arm: f"arms/{stem}.html" for arm, stem in stems.items()}
     (folder / "arms").mkdir(parents=True, exist_ok=True)
@@ -241,9 +242,8 @@ def write_fleet_pages(
         write_page(folder / page, arm, parts, lead=lead, provenance=provenance)
     path, lead = folder / "report.html", lead_sentence(fleet)
     sections = list(_fleet_sections(fleet, pages))
-    arms = [*dict.fromkeys(x.arm for x in fleet.alarms)]
-    more = f" and {len(arms) - _NAMED} more" if len(arms) > _NAMED else ""
-    title = f"Fleet: {', '.join(arms[:_NAMED]) or 'no arm'}{more} changed"
+    more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
+    title = f"Fleet: {', '.join(changed[:_NAMED]) or 'no arm'}{more} changed"
     write_page(path, title, sections, lead=lead, provenance=provenance)
     with atomic_path(folder / "fleet.prom") as temporary:
         temporary.write_text(prometheus_text(fleet), encoding="utf-8")
@@ -303,7 +303,7 @@ def prometheus_text(fleet: Fleet) -> str:
     """Gauges in the text format of Prometheus."""
 
     def labels(**named: str) -> str:
-        return ",".join(f'{k}="{_escaped(v)}"' for k, v in named.items())
+        return ",".join(f'{k}="{v.translate(_ESCAPES)}"' for k, v in named.items())
 
     states = [
         (x, labels(arm=x.arm, joint=x.joint, parameter=x.parameter))
@@ -322,13 +322,8 @@ def prometheus_text(fleet: Fleet) -> str:
     lines = []
     for name, found in gauges.items():
         lines.append(f"# TYPE hybrid_fleet_{name} gauge")
-        lines += [f"hybrid_fleet_{name}{{{who}}} {_number(x)}" for who, x in found]
+        lines += [
+            f"hybrid_fleet_{name}{{{who}}} " + f"{x:.9g}".replace("inf", "+Inf")
+            for who, x in found
+        ]
     return "\n".join(lines) + "\n"
-
-
-def _escaped(text: str) -> str:
-    return re.sub(r'(["\\])', r"\\\1", text.replace("\n", " "))
-
-
-def _number(value: float) -> str:
-    return "+Inf" if value == np.inf else f"{value:.9g}"

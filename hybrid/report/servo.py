@@ -15,10 +15,11 @@ from hybrid.servo.servo_fit import ServoFit, ServoReplay
 
 def gap_table(fit: ServoFit) -> Table:
     """Error of replays of held-out motion at each joint, [mrad]."""
-    rows = []
     errors = fit.before, fit.plain, fit.after, fit.floor
-    for j, joint in enumerate(fit.robot.joints):
-        rows.append((joint, *(f"{1000 * x[j]:.2f}" for x in errors)))
+    rows = [
+        (joint, *(f"{1000 * x[j]:.2f}" for x in errors))
+        for j, joint in enumerate(fit.robot.joints)
+    ]
     moving = np.array([x not in fit.resting for x in fit.robot.joints])
     label = "mean" if moving.all() else "mean of joints that move"
     rows.append((label, *(f"{1000 * x[moving].mean():.2f}" for x in errors)))

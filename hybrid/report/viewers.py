@@ -167,15 +167,7 @@ def write_rerun(scene: Scene, path: str | Path) -> None:
     with atomic_path(path) as temporary:
         stream.save(temporary, default_blueprint=rrb.Blueprint(views))
         for name in scene.q:
-            shapes, (turn, place) = _rerun_capsules(scene, name), scene.poses(name)
-            for k, shape in shapes.items():
-                where = rr.new_entity_path(["arm", name, (_BASE, *joints)[k + 1]])
-                stream.log(where, shape, static=True)
-                if k >= 0:
-                    moves = rr.Transform3D.columns(
-                        translation=place[k], quaternion=turn[k]
-                    )
-                    stream.send_columns(where, time, moves)
+            _log_arm(stream, scene, name, time)
         for kind, name, x in scene.each():
             for j, joint in enumerate(joints):
                 where = rr.new_entity_path([kind, joint, name])
@@ -186,20 +178,24 @@ def write_rerun(scene: Scene, path: str | Path) -> None:
         stream.disconnect()
 
 
-def _rerun_capsules(scene: Scene, name: str) -> dict[int, Any]:
-    """Capsules of each link; −1 is the base."""
+def _log_arm(stream: Any, scene: Scene, name: str, time: list[Any]) -> None:
+    """Log the capsules of each link, and how they move."""
     import rerun as rr
 
-    return {
-        k: rr.Capsules3D(
+    turns, places = scene.poses(name)
+    for k, ends, radius, length, turn in scene.links():
+        where = rr.new_entity_path(["arm", name, (_BASE, *scene.robot.joints)[k + 1]])
+        shape = rr.Capsules3D(
             lengths=length,
             radii=radius,
             translations=ends[:, 0],
             quaternions=turn,
             colors=_rgb(name),
         )
-        for k, ends, radius, length, turn in scene.links()
-    }
+        stream.log(where, shape, static=True)
+        if k >= 0:
+            moves = rr.Transform3D.columns(translation=places[k], quaternion=turns[k])
+            stream.send_columns(where, time, moves)
 
 
 def _rgb(name: str) -> tuple[int, int, int]:

@@ -33,12 +33,8 @@ def names(text: str) -> tuple[str, ...]:
 
 def positions(text: str) -> dict[str, float]:
     """Names with numbers between commas, as ``A=0.3,B=1``."""
-    found = {}
-    for name, _, value in (part.partition("=") for part in names(text)):
-        try:
-            found[name.strip()] = float(value)
-        except ValueError:
-            found[name.strip()] = math.nan
+    pairs = (part.partition("=") for part in names(text))
+    found = {name.strip(): _number(value) for name, _, value in pairs}
     if not all(map(math.isfinite, found.values())):
         raise ArgumentTypeError(f"{text!r} is not names with numbers, as torso=0.3")
     return found
@@ -46,20 +42,23 @@ def positions(text: str) -> dict[str, float]:
 
 def positive(text: str) -> float:
     """A finite number above zero."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
+    if not 0 < (value := _number(text)) < math.inf:
         raise ArgumentTypeError(f"{text!r} is not a number above 0")
     return value
 
 
+def _number(text: str) -> float:
+    """A number; NaN for a text that is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
 def count(text: str) -> int:
     """A whole number from 1."""
-    value = whole(text)
-    if value == 0:
-        raise ArgumentTypeError("'0' is not a whole number from 1")
+    if not (value := whole(text)):
+        raise ArgumentTypeError(f"{text!r} is not a whole number from 1")
     return value
 
 
@@ -121,6 +120,18 @@ _SHARED: dict[str, dict[str, Any]] = {
     "--model": {"type": Path, "required": True, "metavar": "MODEL.json"},
     "--out": {"type": Path, "required": True, "metavar": "DIR"},
     "--seed": {"type": whole, "default": 0, "metavar": "N"},
+    "--effects-from": {
+        "type": Path,
+        "action": "append",
+        "default": [],
+        "metavar": "FILE.py",
+        "help": "load effects of your own from a Python file; may be repeated",
+    },
+    "--json": {
+        "type": Path,
+        "metavar": "FILE",
+        "help": "write the results, and how they came about, for other programs",
+    },
 }
 
 
@@ -137,19 +148,20 @@ def add(parser: ArgumentParser, *names: str, **changes: Any) -> None:
         parser.add_argument(name, **_SHARED[name] | changes)
 
 
-def add_number(
-    parser: ArgumentParser,
-    name: str,
-    metavar: str,
-    words: str,
-    default: float | None = None,
+def option(parser: Any, name: str, words: str | None = None, **more: Any) -> None:
+    """Add an option of one verb; its name has a placeholder, as ``--rate HZ``."""
+    flag, _, metavar = name.partition(" ")
+    more |= {"metavar": metavar} if metavar else {}
+    parser.add_argument(flag, help=words, **more)
+
+
+def number(
+    parser: ArgumentParser, name: str, words: str, default: float | None = None
 ) -> None:
     """Add an option that takes a number above zero."""
     if default is not None:
         words += f" (default {default:g})"
-    parser.add_argument(
-        name, type=positive, default=default, metavar=metavar, help=words
-    )
+    option(parser, name, words, type=positive, default=default)
 
 
 def check_size(**factors: float) -> None:

@@ -19,18 +19,10 @@ _KNOWN_MASS = (
 
 def add_arguments(parser: ArgumentParser, *, known_mass: str = _KNOWN_MASS) -> None:
     """Add the arguments of logs without torque, with words on the known masses."""
-    parser.add_argument(
-        "--known-mass",
-        type=options.positions,
-        default={},
-        metavar="JOINT=KG",
-        help=known_mass,
-    )
-    parser.add_argument(
-        "--gpu",
-        action="store_true",
-        help="replay logs that have no torque on a GPU, with JAX (same answer)",
-    )
+    masses = {"type": options.positions, "default": {}}
+    options.option(parser, "--known-mass JOINT=KG", known_mass, **masses)
+    words = "replay logs that have no torque on a GPU, with JAX (same answer)"
+    options.option(parser, "--gpu", words, action="store_true")
 
 
 def check_arguments(
@@ -50,20 +42,14 @@ def check_arguments(
 
             check_gpu()
         return True
-    for name, value, why in (
-        ("--gpu", args.gpu, "and nothing is replayed"),
-        (
-            "--known-mass",
-            {} if weighed else args.known_mass,
-            "which sets the scale, and hybrid diagnose settles that",
-        ),
-    ):
-        if value:
-            raise HybridError(
-                f"{name}: these logs have torque, {why}; valid is it with logs of "
-                "command and position only"
-            )
-    return False
+    if args.gpu:
+        wrong = "--gpu: these logs have torque, and nothing is replayed"
+    elif args.known_mass and not weighed:
+        wrong = "--known-mass: these logs have torque, which sets the scale, and "
+        wrong += "hybrid diagnose settles that"
+    else:
+        return False
+    raise HybridError(f"{wrong}; valid is it with logs of command and position only")
 
 
 def fit(

@@ -51,8 +51,9 @@ def sample(
         )
     if not links:
         model = replace(model, covariance=_given_links(model))
-    factor, bounded = _factor(model.covariance), _Bounded(model)
-    jacobian = _link_jacobian(model)
+    values, vectors = np.linalg.eigh(model.covariance)
+    factor = np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))
+    jacobian, bounded = _link_jacobian(model), _Bounded(model)
     rng = np.random.default_rng(seed)
     return tuple(_draw(model, factor, bounded, jacobian, rng) for _ in range(n))
 
@@ -160,11 +161,5 @@ def _link_jacobian(model: DynamicModel) -> Array:
     rigid = np.array(model.base.kept) < count
     M = model.base.mapping[rigid][:, :count]
     size = np.abs(model.inertial).max(axis=0, initial=1e-3)
-    scaled = M * np.tile(size, model.robot.size)
-    return np.asarray(np.tile(size, model.robot.size)[:, None] * np.linalg.pinv(scaled))
-
-
-def _factor(covariance: Array) -> Array:
-    """Square root L of a covariance, L @ L.T."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))
+    size = np.tile(size, model.robot.size)
+    return np.asarray(size[:, None] * np.linalg.pinv(M * size))

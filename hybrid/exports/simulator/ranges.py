@@ -27,7 +27,7 @@ class Ranges:
     """The p uncertain parameters of a simulator, with their intervals.
 
     Attributes:
-        joints: Joints of the arm.
+        robot: The arm with the nominal values.
         keys: Joint and name of each parameter, length p.
         units: Units, length p.
         nominal: Values of the simulator, shape (p,).
@@ -37,7 +37,7 @@ class Ranges:
         draws: Draws from the posterior, shape (draws, p).
     """
 
-    joints: tuple[str, ...]
+    robot: Robot
     keys: tuple[tuple[str, str], ...]
     units: tuple[str, ...]
     nominal: Array
@@ -45,14 +45,6 @@ class Ranges:
     high: Array
     correlation: Array
     draws: Array
-
-    def of(self, name: str) -> tuple[Array, Array]:
-        """Ends of a parameter's interval at each joint, (n,); NaN if it is certain."""
-        ends = np.full((2, len(self.joints)), np.nan)
-        for k, (joint, own) in enumerate(self.keys):
-            if own == name:
-                ends[:, self.joints.index(joint)] = self.low[k], self.high[k]
-        return ends[0], ends[1]
 
     def as_dict(self) -> dict[str, Any]:
         """Content of the YAML file."""
@@ -109,7 +101,7 @@ def ranges(
     tail = 100 * (1 - _LEVEL) / 2
     low, high = np.percentile(values, [tail, 100 - tail], axis=0)
     return Ranges(
-        joints=joints,
+        robot=form,
         keys=tuple((joints[j], _NAMES[k]) for j, k in np.argwhere(varies)),
         units=tuple(units[varies].tolist()),
         nominal=nominal[varies],

@@ -5,7 +5,7 @@ Names of joints appear as literals only.
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,7 @@ import yaml
 
 from hybrid.arrays import Array
 from hybrid.exports.c_code import TEMPLATES
-from hybrid.exports.simulator.model import (
-    fields_of_model,
-    model_simulator,
-    usual_motion,
-)
+from hybrid.exports.simulator.model import model_simulator
 from hybrid.exports.simulator.plan import drive_changes
 from hybrid.exports.simulator.ranges import Ranges, joint_numbers, ranges
 from hybrid.exports.simulator.simulator import effect_note
@@ -84,78 +80,75 @@ def isaac_lab(
     return text, notes
 
 
-def isaac_events(name: str, ranges: Ranges, nominal: Robot) -> str:
+def isaac_events(ranges: Ranges) -> str:
     """Event term for Isaac Lab, which draws friction and rotors at each reset."""
-    drawn = "frictionloss", "damping", "armature"
-    keys = [(joint, own) for own in drawn for joint in ranges.joints]
-    joints = [re.escape(joint) for joint in ranges.joints]
-    draws = _draws(ranges, nominal, keys)
-    return _rendered("isaaclab_events", name, joints=joints, draws=draws)
+    joints, drawn = ranges.robot.joints, ("frictionloss", "damping", "armature")
+    draws = _draws(ranges, [(joint, own) for own in drawn for joint in joints])
+    names = [re.escape(joint) for joint in joints]
+    return _rendered("isaaclab_events", ranges.robot.name, joints=names, draws=draws)
 
 
-def mjx(name: str, ranges: Ranges, nominal: Robot) -> str:
+def mjx(ranges: Ranges) -> str:
     """Function that randomises a model of MJX, made from the file of an arm."""
     places = dict[tuple[str, int | None], list[tuple[str, str]]]()
     for joint, own in ranges.keys:
-        if (place := _place(nominal, joint, own)) is not None:
+        if (place := _place(ranges.robot, joint, own)) is not None:
             places.setdefault(place, []).append((joint, own))
     fields = [
         (*place, [f"{x}/dry" if place == _TENDON else x for x, _ in keys])
         for place, keys in places.items()
     ]
-    keys = [key for own in places.values() for key in own]
-    return _rendered("mjx", name, fields=fields, draws=_draws(ranges, nominal, keys))
+    draws = _draws(ranges, [key for own in places.values() for key in own])
+    return _rendered("mjx", ranges.robot.name, fields=fields, draws=draws)
 
 
-def _place(nominal: Robot, joint: str, own: str) -> tuple[str, int | None] | None:
+def _place(robot: Robot, joint: str, own: str) -> tuple[str, int | None] | None:
     """Field of MuJoCo's model that holds a number of a joint, if one does.
 
     Friction that rises takes the joint's dry friction, whose own is that of a tendon.
     """
-    j = nominal.joints.index(joint)
-    if own == "frictionloss" and nominal.knee[j]:
-        return _TENDON if nominal.frictionloss[j] else None
+    j = robot.joints.index(joint)
+    if own == "frictionloss" and robot.knee[j]:
+        return _TENDON if robot.frictionloss[j] else None
     return _DOF.get(own)
 
 
-def _draws(
-    ranges: Ranges, nominal: Robot, keys: Sequence[tuple[str, str]]
-) -> list[list[float]]:
+def _draws(ranges: Ranges, keys: Sequence[tuple[str, str]]) -> list[list[float]]:
     """Draws of numbers by joint and name; those without an interval do not vary."""
-    numbers, count = joint_numbers(nominal), len(ranges.draws)
+    numbers, count = joint_numbers(ranges.robot), len(ranges.draws)
     columns = [
         ranges.draws[:, ranges.keys.index(key)] if key in ranges.keys
-        else np.full(count, numbers[key[1]][nominal.joints.index(key[0])])
+        else np.full(count, numbers[key[1]][ranges.robot.joints.index(key[0])])
         for key in keys
     ]  # fmt: skip
     table = np.reshape(columns, (len(keys), count)).T
     return [[float(f"{x:.{_DIGITS}g}") for x in row] for row in table.tolist()]
 
 
-def range_notes(robot: Robot) -> Iterator[str]:
-    """What varies in the intervals of an arm, and not in the function for MJX."""
-    falls = {int(j) for j in robot.falling[:, 0]}
-    tied = {*np.flatnonzero((robot.knee != 0) & (robot.frictionloss == 0)).tolist()}
-    for joints, what in (
-        (falls, "friction that falls with speed"),
-        (tied, "dry friction beside that which rises with speed"),
-    ):
-        if joints:
-            names = ", ".join(robot.joints[j] for j in sorted(joints))
-            yield f"for MJX: draws of {what}, of {names}"
+def mjx_notes(robot: Robot, *, drawn: bool = False) -> list[str]:
+    """What MJX on JAX, unlike MuJoCo and MJX on Warp, does not take from a file.
 
-
-def mjx_notes(robot: Robot) -> Iterator[str]:
-    """What MJX on JAX, unlike MuJoCo and MJX on Warp, does not take from a file."""
-    motors = {int(row[0]) for row in (*robot.ripple, *robot.falling)}
-    curved = np.flatnonzero((robot.quadratic != 0) | (robot.cubic != 0))
-    for joints, what in (
-        (curved, "quadratic and cubic damping of {}, which it ignores"),
-        (sorted(motors), "ripple or falling friction of {}, which it refuses"),
-    ):
-        if len(joints):
-            names = ", ".join(robot.joints[j] for j in joints)
-            yield "for MJX on JAX: " + what.format(names)
+    If numbers are ``drawn``, also those that the function for MJX does not draw.
+    """
+    falls = {int(row[0]) for row in robot.falling}
+    motors = falls | {int(row[0]) for row in robot.ripple}
+    curved = np.flatnonzero((robot.quadratic != 0) | (robot.cubic != 0)).tolist()
+    found: list[tuple[Collection[int], str]] = [
+        (curved, "for MJX on JAX: quadratic and cubic damping of {}, which it ignores"),
+        (motors, "for MJX on JAX: ripple or falling friction of {}, which it refuses"),
+    ]
+    if drawn:
+        tied = np.flatnonzero((robot.knee != 0) & (robot.frictionloss == 0)).tolist()
+        rising = "dry friction beside that which rises with speed"
+        found[:0] = [
+            (falls, "for MJX: draws of friction that falls with speed, of {}"),
+            (tied, f"for MJX: draws of {rising}, of {{}}"),
+        ]
+    return [
+        text.format(", ".join(robot.joints[j] for j in sorted(joints)))
+        for joints, text in found
+        if joints
+    ]
 
 
 def write_ranges(model: DynamicModel, folder: Path, stem: str) -> tuple[str, ...]:
@@ -166,26 +159,23 @@ def write_ranges(model: DynamicModel, folder: Path, stem: str) -> tuple[str, ...
     Returns:
         What the function for MJX does not draw, or MJX on JAX does not take.
     """
-    found, motions = ranges(model, draws=_DRAWS), (usual_motion(model),)
+    found = ranges(model, draws=_DRAWS)
     # Python draws no links: rotors would have to change with these.
     of_mujoco, of_isaac = (
-        (
-            ranges(model, kind=kind, draws=_DRAWS, links=False),
-            fields_of_model(model, motions, kind),
-        )
+        ranges(model, kind=kind, draws=_DRAWS, links=False)
         for kind in ("mjcf", "isaaclab")
     )
-    name, nominal = model.robot.name, of_mujoco[1]
+    content = {"robot": model.robot.name, **found.as_dict()}
     texts = {
         f"{stem}_ranges.yaml": yaml.safe_dump(
-            {"robot": name, **found.as_dict()}, sort_keys=False, allow_unicode=True
+            content, sort_keys=False, allow_unicode=True
         ),
-        f"{stem}_isaaclab_events.py": isaac_events(name, *of_isaac),
-        f"{stem}_mjx.py": mjx(name, *of_mujoco),
+        f"{stem}_isaaclab_events.py": isaac_events(of_isaac),
+        f"{stem}_mjx.py": mjx(of_mujoco),
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
-    return *range_notes(nominal), *mjx_notes(nominal)
+    return tuple(mjx_notes(of_mujoco.robot, drawn=True))
 
 
 def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float] | None:
