@@ -10,10 +10,13 @@ import pytest
 
 FOLDER = Path(__file__).parents[1] / "docs" / "notebooks"
 DATA = Path(os.environ.get("HYBRID_DATA", FOLDER.parents[2] / "shared" / "data"))
-NAMES = [path.stem for path in sorted(FOLDER.glob("*.ipynb"))]
+QUICK = ("ur10",)
+NAMES = [
+    pytest.param(path.stem, marks=() if path.stem in QUICK else pytest.mark.study)
+    for path in sorted(FOLDER.glob("*.ipynb"))
+]
 
 
-@pytest.mark.study
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_notebook_runs_to_its_end(name, tmp_path, monkeypatch):
