@@ -15,7 +15,6 @@ from hybrid.recording import Recording
 from hybrid.report.servo import gap_table, servos_table, write_servo_page
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
-from hybrid.servo.evidence import Explanation
 from hybrid.servo.fit import _clips, _notes, _problem, _result, _unsaid, fit_servo
 from hybrid.servo.model import (
     bristles,
@@ -919,9 +918,7 @@ def test_a_result_holds_the_servos_of_the_plain_fit_and_those_found_and_written(
 ):
     def moved(by):
         free = np.zeros(FILE.values.shape, dtype=bool)
-        return Explanation(
-            Estimate(FILE.coordinates + by, free, np.zeros((5, 2))), free
-        )
+        return Estimate(FILE.coordinates + by, free, np.zeros((5, 2)), free)
 
     def replayed(simulator, stretches, drives):
         return [np.full(2, -1.0 if x is None else stiffness(x)) for x in drives]
@@ -934,7 +931,7 @@ def test_a_result_holds_the_servos_of_the_plain_fit_and_those_found_and_written(
                        ("_findings", lambda *_: ())):  # fmt: skip
         monkeypatch.setattr(f"hybrid.servo.fit.{name}", stub)
     problem = SimpleNamespace(
-        at=lambda x, free: Estimate(x, free, np.zeros((5, 2))),
+        errors=lambda points: [np.zeros((5, 2)) for _ in points],
         fitted=lambda start, *_: start,
         covariance=lambda *_: np.zeros((0, 0)),
         simulator=None, prior=FILE, stretches=[], resting=np.zeros(2, dtype=bool),

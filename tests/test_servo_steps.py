@@ -10,10 +10,9 @@ from pendulum import pendulum
 
 from hybrid.servo import search as module
 from hybrid.servo.drive import NAMES, Drive
-from hybrid.servo.evidence import Explanation
 from hybrid.servo.moves import Move, _usual_changes, probed
 from hybrid.servo.noise import Noise
-from hybrid.servo.problem import Problem
+from hybrid.servo.problem import Estimate, Problem
 from hybrid.servo.search import Search
 from hybrid.servo.stretch import Stretch
 
@@ -29,16 +28,13 @@ STIFF, DAMP, OFFSET, MASS = (
 NOISE = Noise(np.ones(2), np.full(2, 1e3))
 
 
-def made(*places, x=0.0, usual=(1.0, 1.0), **more):
-    """An explanation of some causes, with all coordinates the same."""
+def made(*places, x=0.0, **more):
+    """An estimate with some causes, with all coordinates the same."""
     causes = NONE.copy()
     for at in places:
         causes[at] = True
-    found = SimpleNamespace(
-        x=np.full(NONE.shape, float(x)), free=causes.copy(), usual=np.array(usual),
-        errors=np.zeros((3, 2)),
-    )  # fmt: skip
-    return Explanation(found, causes, **more)
+    x = np.full(NONE.shape, float(x))
+    return Estimate(x, causes.copy(), np.ones((3, 2)), causes, **more)
 
 
 def names(what):
@@ -60,17 +56,12 @@ class Stated(Search):
 
     def of(self, x, causes, turns=2):
         self.fitted.append(turns)
-        return Explanation(replace_x(made(), x, causes), causes)
+        return replace(made(), x=x.copy(), free=causes.copy(), causes=causes)
 
     def run(self, step, *given):
         with pytest.MonkeyPatch.context() as m:
             m.setattr(module, "evidence", self.evidence)
             return getattr(self, step)(*given)
-
-
-def replace_x(what, x, causes):
-    what.found.x, what.found.free = x.copy(), causes.copy()
-    return what.found
 
 
 def sums(**worth):
@@ -121,9 +112,9 @@ def test_each_joint_is_as_in_the_trial_that_it_gains_by():
     tried = [made((STIFF, 0), x=5.0), made((DAMP, 1), x=6.0)]
     mixed = search.run("_mixed", made(), tried, np.array([0, 1]), NOISE)
     assert names(mixed) == [("damping", 1), ("stiffness", 0)]
-    assert (mixed.found.x == [5.0, 6.0]).all()
+    assert (mixed.x == [5.0, 6.0]).all()
     one = search.run("_mixed", made(), tried, np.array([0, -1]), NOISE)
-    assert names(one) == [("stiffness", 0)] and (one.found.x == [5.0, 0.0]).all()
+    assert names(one) == [("stiffness", 0)] and (one.x == [5.0, 0.0]).all()
     assert search.run("_mixed", made(), tried, np.array([-1, -1]), NOISE) is None
 
 
@@ -273,7 +264,7 @@ def test_causes_whose_absence_gains_are_dropped_until_none_does():
     assert names(found) == [("damping", 1), ("stiffness", 0)]
     assert found.losses == {(STIFF, 0): 11.0, (DAMP, 1): 6.0}
     assert found.equals == {"kept": ()}
-    assert (found.found.x == 0.5).any()
+    assert (found.x == 0.5).any()
     assert search.said[0] == "servos: 4 causes, fewer"
 
 
@@ -302,18 +293,18 @@ def test_an_explanation_is_fitted_with_the_shapes_of_friction_and_no_sign():
     class Fits:
         def at(self, x, free):
             given["free"] = free
-            return SimpleNamespace(usual=np.array([1e3, 0.0]))
+            return replace(made(), errors=np.array([[1e3, 0.0]]))
 
         def fitted(self, start, noise, turns):
             given.update(far=noise.far, turns=turns)
-            return "fitted"
+            return replace(start, x=start.x + 1.0)
 
     search = Stated(sums())
     search.problem = Fits()
     causes = NONE.copy()
     causes[STIFF, 0] = causes[NAMES.index("sign"), 1] = True
     found = Search.of(search, np.zeros(NONE.shape), causes, 3)
-    assert found.found == "fitted" and found.causes is causes and given["turns"] == 3
+    assert (found.x == 1.0).all() and found.causes is causes and given["turns"] == 3
     np.testing.assert_array_equal(given["far"], [3e3, 1e3])
     free = {(NAMES[k], j) for k, j in np.argwhere(given["free"]).tolist()}
     shapes = {(x, j) for x in ("stribeck_speed", "presliding") for j in (0, 1)}

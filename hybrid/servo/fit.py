@@ -1,6 +1,6 @@
 """Fit servos to logs of command and position by replays.
 
-Explanations compete by their evidence, see :mod:`hybrid.servo.search`. A parameter of
+Estimates compete by their evidence, see :mod:`hybrid.servo.search`. A parameter of
 the file is wrong with probability 1/(1 + e^−l), where l is the evidence lost if it goes
 back to the file.
 """
@@ -18,10 +18,9 @@ from hybrid.progress import Progress, silent
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
-from hybrid.servo.evidence import Explanation
 from hybrid.servo.model import heights
 from hybrid.servo.noise import resolution
-from hybrid.servo.problem import SHARED, Problem
+from hybrid.servo.problem import SHARED, Estimate, Problem
 from hybrid.servo.search import Search
 from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
@@ -99,16 +98,15 @@ def _result(
     known: Mapping[str, float],
     search: Search,
     problem: Problem,
-    best: Explanation,
+    best: Estimate,
     unseen: Sequence[Stretch],
     asked: Array,
 ) -> ServoFit:
     """Fit the result to all parts of the logs, and replay the held-out motion."""
     plain, found, written = (
-        problem.fitted(problem.at(x.found.x, x.found.free), None, _LAST)
+        problem.fitted(replace(x, errors=problem.errors([x.x])[0]), None, _LAST)
         for x in (search.plain, best, _written(search, best))
     )
-    best = replace(best, found=found)
     simulator, std = problem.simulator, np.zeros_like(problem.prior.values)
     covariance = problem.covariance(found, search.noise)
     std[found.free] = np.sqrt(np.diagonal(covariance))
@@ -123,7 +121,7 @@ def _result(
         written=drives[2],
         plain_drive=drives[0],
         std=std,
-        findings=_findings(robot, problem, best, std, unseen),
+        findings=_findings(robot, problem, found, std, unseen),
         before=before,
         plain=between,
         after=after,
@@ -164,12 +162,12 @@ def _problem(
     return problem, start.coordinates
 
 
-def _written(search: Search, best: Explanation) -> Explanation:
+def _written(search: Search, best: Estimate) -> Estimate:
     """The most probable servos that MJCF can express."""
     unsaid = np.array([x.unsaid for x in QUANTITIES])[:, None]
     if not (best.causes & unsaid).any():
         return best
-    x = np.where(unsaid, search.problem.prior.coordinates, best.found.x)
+    x = np.where(unsaid, search.problem.prior.coordinates, best.x)
     return search.of(x, best.causes & ~unsaid, _LAST)
 
 
@@ -186,12 +184,12 @@ def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
 def _findings(
     robot: Robot,
     problem: Problem,
-    best: Explanation,
+    best: Estimate,
     std: Array,
     unseen: Sequence[Stretch],
 ) -> tuple[ServoFinding, ...]:
     """Causes for which the file is wrong, ordered by their worth on held-out motion."""
-    x, prior, findings = best.found.x, problem.prior, []
+    x, prior, findings = best.x, problem.prior, []
     places = np.argwhere(best.causes).tolist()
     alone = [x.copy() for _ in places]
     for (k, j), each in zip(places, alone, strict=True):

@@ -18,7 +18,7 @@ Source: Bell and McCaffrey 2002, Survey Methodology 28, 169 (leverage).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -42,17 +42,24 @@ SHARED = np.array([q.shared for q in QUANTITIES])
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Servo parameters and their replay errors.
+    """Servos of which some parameters differ from the file: an explanation of logs.
 
     Attributes:
         x: Coordinates, shape (len(QUANTITIES), n).
         free: Which of them are fitted, P of them.
         errors: Replay errors over all stretches, shape (M, n), [rad].
+        causes: Which of them differ, shape (len(QUANTITIES), n).
+        equals: For a cause (quantity, joint), quantities that fit as well in its place.
+        losses: Evidence lost when one cause goes back to the file, [nats]; empty until
+            it is computed.
     """
 
     x: Array
     free: Mask
     errors: Array
+    causes: Mask
+    equals: Mapping[tuple[int, int], tuple[int, ...]] = field(default_factory=dict)
+    losses: Mapping[tuple[int, int], float] = field(default_factory=dict)
 
     @cached_property
     def usual(self) -> Array:
@@ -118,8 +125,8 @@ class Problem:
         return out
 
     def at(self, x: Array, free: Mask) -> Estimate:
-        """An estimate at given coordinates."""
-        return Estimate(x, free, self.errors([x])[0])
+        """An estimate at given coordinates, of which all that are free differ."""
+        return Estimate(x, free, self.errors([x])[0], free)
 
     def off(self, x: Array, free: Mask) -> Array:
         """Negative log prior of each joint, up to a constant, shape (n,)."""
