@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from hybrid.arguments import typed
@@ -58,8 +59,6 @@ def build_arm(
         HybridError: Step [s] or integrator is not valid, or MuJoCo refuses the model.
         EffectError: An effect cannot be simulated.
     """
-    import mujoco
-
     if integrator not in _INTEGRATORS:
         raise HybridError(
             f"no integrator {integrator!r}; valid are {', '.join(_INTEGRATORS)}"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array
@@ -17,10 +18,6 @@ from hybrid.plant.laws import Laws
 from hybrid.robot.actuators import motors_of
 from hybrid.robot.mjcf import knee_slope, sum_tendons
 from hybrid.robot.robot import Robot
-
-if TYPE_CHECKING:
-    import mujoco
-
 
 _OWN = (
     "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
@@ -102,8 +99,6 @@ class Installed:
             getattr(self._model, name)[:] = x
         del _INSTALLED[id(self._data)]
         if not _INSTALLED:
-            import mujoco
-
             mujoco.set_mjcb_passive(None)
 
     def add(self, model: Any, data: Any) -> None:
@@ -159,8 +154,6 @@ def install(
     Raises:
         HybridError: A joint of the model is not in the simulation.
     """
-    import mujoco
-
     if (earlier := _INSTALLED.get(id(data))) is not None:
         earlier.remove()
     installed = Installed(model, data, dynamic_model)

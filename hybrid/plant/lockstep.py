@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array, Index
@@ -36,9 +37,6 @@ class Lockstep:
         self, arm: Arm, effects: Sequence[Effect], start: Array, *, time: float = 0.0
     ) -> None:
         """Place every trajectory at rest, at motor positions of shape (B, n), [rad]."""
-        import mujoco
-
-        self._advance = mujoco.mj_step
         self._arm = arm
         batch, n = start.shape
         self.recordings: Index = np.arange(batch)
@@ -73,8 +71,6 @@ class Lockstep:
 
     def _settle(self, start: Array) -> None:
         """Set deflections to equilibrium with gravity."""
-        import mujoco
-
         arm = self._arm
         joint = arm.model.dof_jntid[arm.deflection]
         stiffness, stop = arm.model.jnt_stiffness[joint], arm.model.jnt_range[joint, 1]
@@ -98,7 +94,7 @@ class Lockstep:
             delivered = self._delivered(torque)
             self._act(delivered)
             for model, data in zip(self._models, self._datas, strict=True):
-                self._advance(model, data, count)
+                mujoco.mj_step(model, data, count)
             self._read()
             if len(self._laws) or not left:  # without laws nobody asks in between
                 self._read_torque(delivered)

@@ -41,6 +41,9 @@ _PRESLIDING = 1e-3  # rad: usual bend of the bristles before a joint slides
 _FREE = 100.0  # rad: stops of a joint whose file has none
 _UNLIMITED = 1e4  # of the rated torque: that of a servo whose file has no limit
 _LITTLE = 1e-4  # of the stall torque: stands for zero, which has no logarithm
+# Columns of friction in a robot, after the joint.
+_FALL = "stiction", "stribeck_speed"
+_BRISTLE = "coulomb", *_FALL, "presliding"
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,12 @@ class Drive:
         return np.asarray(self["play"] > 0)
 
     @property
+    def layout(self) -> bytes:
+        """The values that need a compiled model of their own."""
+        tilt = self["roll"][0], self["pitch"][0]
+        return np.r_[self["zero"], self["sign"], self["play"] > 0, tilt].tobytes()
+
+    @property
     def unlimited(self) -> Mask:
         """Whether the torque of each servo has no limit, shape (n,)."""
         return np.asarray(self["stall"] > 0.5 * _UNLIMITED * self.stall)
@@ -188,38 +197,29 @@ class Drive:
     @classmethod
     def declared(cls, robot: Robot) -> Drive:
         """The servos of a robot file, with usual values where it states none."""
-        n = robot.size
         stall = rated_torque(robot)
-        gain = np.where(np.isfinite(robot.kp), robot.kp, stall / 0.1)
-        servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
         little = _LITTLE * stall
-        known = {
-            "stiffness": gain,
-            "damping": np.maximum(servo + robot.damping, little),
-            "coulomb": np.maximum(robot.frictionloss, little),
-            "stribeck_speed": np.full(n, 0.05),
-            "presliding": np.full(n, _PRESLIDING),
-            "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
-            "stall": np.where(np.isfinite(robot.tau_max), stall, _UNLIMITED * stall),
-            "lower": np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),
-            "upper": np.where(np.isfinite(robot.q_max), robot.q_max, _FREE),
-            "mass": np.ones(n),
-            "ground": -_reach(robot),
-            "sign": np.ones(n),
-            "quadratic": np.nan_to_num(robot.quadratic),
-            "stiction": np.zeros(n),
-            "delay": robot.latency,
-        }
-        for j, level, speed in robot.falling:
-            known["stiction"][int(j)], known["stribeck_speed"][int(j)] = level, speed
-        for j, coulomb, *shape in robot.bristle:
-            known["coulomb"][int(j)] = max(coulomb, little[int(j)])
-            for name, x in zip(
-                ("stiction", "stribeck_speed", "presliding"), shape, strict=True
-            ):
-                known[name][int(j)] = x
-        values = [known.get(name, np.zeros(n)) for name in NAMES]
-        return cls(np.array(values), stall)
+        drive = cls(np.zeros((len(NAMES), robot.size)), stall).at(
+            stiffness=np.where(np.isfinite(robot.kp), robot.kp, stall / 0.1),
+            damping=np.maximum(np.nan_to_num(robot.kd) + robot.damping, little),
+            coulomb=robot.frictionloss,
+            stribeck_speed=0.05,
+            presliding=_PRESLIDING,
+            armature=np.maximum(robot.chain.armature, little),
+            stall=np.where(np.isfinite(robot.tau_max), stall, _UNLIMITED * stall),
+            delay=robot.latency,
+            quadratic=np.nan_to_num(robot.quadratic),
+            lower=np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),
+            upper=np.where(np.isfinite(robot.q_max), robot.q_max, _FREE),
+            mass=1.0,
+            ground=-_reach(robot),
+            sign=1.0,
+        )
+        for names, rows in ((_FALL, robot.falling), (_BRISTLE, robot.bristle)):
+            for j, *numbers in rows:
+                for name, x in zip(names, numbers, strict=True):
+                    drive[name][int(j)] = x
+        return drive.at(coulomb=np.maximum(drive["coulomb"], little))
 
 
 def known_masses(robot: Robot, known: Mapping[str, float]) -> Array:

@@ -245,12 +245,12 @@ def _clips(robot: Robot, drive: Drive, asked: Array) -> list[str]:
     """Control ranges that the written file has no longer."""
     if not Path(robot.path).is_file():
         return []
-    lost = clipped(robot, drive, asked)
+    lost = np.flatnonzero(clipped(robot, drive, asked)).tolist()
     return [
-        f"the file's ctrlrange clips commands of {joint}, which go from {low:.3g} to "
-        f"{high:.3g} rad in the logs: the written file has no ctrlrange there"
-        for joint, low, high in zip(robot.joints, *asked, strict=True)
-        if joint in lost
+        f"the file's ctrlrange clips commands of {robot.joints[j]}, which go from "
+        f"{asked[0, j]:.3g} to {asked[1, j]:.3g} rad in the logs: the written file has "
+        "no ctrlrange there"
+        for j in lost
     ]
 
 
