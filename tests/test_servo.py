@@ -562,7 +562,7 @@ def test_masses_stops_and_axes_are_written_where_they_differ(robot, tmp_path):
 
 
 def test_the_first_guess_is_within_a_factor_of_two(robot):
-    guess = first_guess(robot, stretches_of([log(0), log(1)]))
+    guess = first_guess(robot, stretches_of([log(0), log(1)]), Drive.declared(robot))
     assert guess["stiffness"] == pytest.approx([22.0, 22.0], rel=0.5)
     damping = np.array([1.0, 0.7])
     assert (guess["damping"] > damping / 2).all()

@@ -390,7 +390,7 @@ def test_the_first_guess_is_the_servo_that_balances_the_motion():
         "coulomb": np.array([1.5, 0.6]), "armature": np.array([0.8, 0.3]),
         "offset": np.array([0.5, -0.3]),
     }  # fmt: skip
-    guess = first_guess(ROBOT, balanced(ROBOT, **law))
+    guess = first_guess(ROBOT, balanced(ROBOT, **law), FILE)
     usual = 1.0 / np.median(1.0 / law["stiffness"])  # one stiffness for all joints
     for name, x in law.items():
         expected = x * usual / law["stiffness"]
@@ -407,7 +407,7 @@ def test_a_first_guess_is_above_zero_and_the_file_s_where_nothing_has_weight():
     )
     none = np.zeros(2)
     logs = balanced(light, np.full(2, 15.0), none - 1.0, none, none - 1.0, none)
-    guess = first_guess(light, logs)
+    guess = first_guess(light, logs, Drive.declared(light))
     np.testing.assert_allclose(guess["stiffness"], 15.0)
     for name in ("damping", "armature"):
         np.testing.assert_allclose(guess[name], 1e-3 * 15.0)

@@ -165,7 +165,7 @@ class Drive:
     def layout(self) -> bytes:
         """The values that need a compiled model of their own."""
         tilt = self["roll"][0], self["pitch"][0]
-        return np.r_[self["zero"], self["sign"], self["play"] > 0, tilt].tobytes()
+        return bytes(np.r_[self["zero"], self["sign"], self.plays, tilt])
 
     @property
     def unlimited(self) -> Mask:

@@ -28,23 +28,14 @@ _SOFT = np.isin(NAMES, (*PLAIN, "zero"))[:, None]  # no file states them exactly
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Second-order expansion of the posterior over P parameters.
+    """Second-order expansion of the posterior over P parameters."""
 
-    Attributes:
-        places: Quantity and joint of each, shape (P, 2).
-        slopes: Derivative of the replay errors by each, shape (P, M, n).
-        matrix: Second derivatives, shape (P, P).
-        gradient: First derivatives, shape (P,).
-        weight: Weight of every error, shape (M, n), [1/rad²].
-        spread: Prior deviations, shape (P,).
-    """
-
-    places: NDArray[np.int_]
-    slopes: Array
-    matrix: Array
-    gradient: Array
-    weight: Array
-    spread: Array
+    places: NDArray[np.int_]  # quantity and joint of each, (P, 2)
+    slopes: Array  # derivative of the replay errors by each, (P, M, n)
+    matrix: Array  # second derivatives, (P, P)
+    gradient: Array  # first derivatives, (P,)
+    weight: Array  # of every error, (M, n), [1/rad²]
+    spread: Array  # prior deviations, (P,)
 
     @classmethod
     def of(cls, problem: Problem, found: Estimate, noise: Noise) -> Curvature:

@@ -23,19 +23,12 @@ _DEEPER = (0.0, 0.01, 0.02)  # m: links are no balls and touch higher or lower
 
 @dataclass(frozen=True)
 class Move:
-    """A parameter that may be wrong, and what its linear fit promises.
+    """A parameter that may be wrong, and what its linear fit promises."""
 
-    Attributes:
-        k: Index of the quantity.
-        j: Index of the joint.
-        gain: Evidence gained by the linear fit, [nats].
-        x: Coordinates at the linear fit, shape (len(QUANTITIES), n).
-    """
-
-    k: int
-    j: int
-    gain: float
-    x: Array
+    k: int  # index of the quantity
+    j: int  # index of the joint
+    gain: float  # evidence gained by the linear fit, [nats]
+    x: Array  # coordinates at the linear fit, (len(QUANTITIES), n)
 
 
 def probed(
