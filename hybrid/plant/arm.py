@@ -25,26 +25,16 @@ _HOOKS = (
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A compiled arm of n motor joints, some of them in series with a deflection.
+    """A compiled arm of n motor joints, some of them in series with a deflection."""
 
-    Attributes:
-        model: MuJoCo model; its dofs are motor joints and deflections, in any order.
-        motor: Dof of each motor joint, shape (n,).
-        elastic: Joint index of each deflection, shape (m,); a joint with elasticity and
-            backlash occurs twice.
-        deflection: Dof of each deflection, shape (m,).
-        behind: Kind of each deflection, see :attr:`Effect.behind`.
-        armature: Rotor inertia of each motor joint, shape (n,), [kg·m²].
-        tip: MuJoCo body of the last link.
-    """
-
-    model: Any
-    motor: Index
+    model: Any  # its dofs are motor joints and deflections, in any order
+    motor: Index  # dof of each motor joint, (n,)
+    # Joint of each deflection, (m,); one with elasticity and backlash occurs twice.
     elastic: Index
-    deflection: Index
-    behind: tuple[str, ...]
-    armature: Array
-    tip: int
+    deflection: Index  # dof of each deflection, (m,)
+    behind: tuple[str, ...]  # kind of each deflection, see `Effect.behind`
+    armature: Array  # rotor inertia of each motor joint, (n,), [kg·m²]
+    tip: int  # MuJoCo body of the last link
 
 
 def build_arm(

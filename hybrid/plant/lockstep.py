@@ -164,6 +164,9 @@ class Lockstep:
 
     def _read(self) -> None:
         self.q, self.v = self._of_motors(self._gather(self._motion))
+        self._check_speed()
+
+    def _check_speed(self) -> None:
         # The comparison is written so that NaN fails it too.
         if not np.vdot(self.v, self.v) < _FASTEST**2 * self.v.size:
             raise HybridError(

@@ -131,9 +131,7 @@ class _FreeTrajectories(Lockstep):
             for e in self._laws.resisting
         ]
 
-    def _read(self) -> None:
-        self.q, self.v = self._of_motors(self._gather(self._motion))
-        # The comparison is written so that NaN fails it too.
+    def _check_speed(self) -> None:
         self.diverged |= ~(np.abs(self.v).max(axis=1) < _DIVERGED)
         for k in np.flatnonzero(self.diverged):
             # It continues from rest, and its result is not used.

@@ -48,37 +48,21 @@ _BRISTLE = "coulomb", *_FALL, "presliding"
 
 @dataclass(frozen=True)
 class DriveQuantity:
-    """One parameter of a servo, and its prior.
-
-    Attributes:
-        name: Standard term.
-        unit: SI unit.
-        effect: Effect of the library that is reported if the file has a wrong value.
-        spread: Prior standard deviation: of the logarithm for a positive number, else
-            in multiples of ``per``.
-        per: ``torque`` for multiples of the stall torque; else plain SI.
-        positive: Whether the value is above zero. Then its logarithm is fitted.
-        least: Smallest value. A presliding below it is unstable in a replay.
-        shared: Whether it changes the motion of other joints as much as of its own.
-        base: Whether it is one number of the arm, which stands at its first joint.
-        unsaid: Whether MJCF cannot express it.
-        alone: Whether it is probed at one joint at a time, since it may be unstable at
-            another.
-        probe: Step of finite differences, over that of a fit. Impacts need a long one.
-    """
+    """One parameter of a servo, and its prior."""
 
     name: str
-    unit: str
-    effect: str
+    unit: str  # SI
+    effect: str  # of the library, that is reported if the file has a wrong value
+    # Prior standard deviation: of the logarithm if it is positive, else times ``per``.
     spread: float
-    per: str = ""
-    positive: bool = False
-    least: float = -np.inf
-    shared: bool = False
-    base: bool = False
-    unsaid: bool = False
-    alone: bool = False
-    probe: float = 0.05
+    per: str = ""  # "torque": the stall torque; else plain SI
+    positive: bool = False  # whether it is above zero; then its logarithm is fitted
+    least: float = -np.inf  # a presliding below it is unstable in a replay
+    shared: bool = False  # whether it moves other joints as much as its own
+    base: bool = False  # whether it is one number of the arm, at the first joint
+    unsaid: bool = False  # whether MJCF cannot express it
+    alone: bool = False  # whether it is probed joint by joint: some may be unstable
+    probe: float = 0.05  # finite difference over a fit's step; impacts need a long one
 
     def interval(self, value: float, std: float) -> tuple[float, float]:
         """The 95 % interval of a value with the standard deviation of a fit."""

@@ -69,23 +69,15 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Logs to fit, and the prior.
-
-    Attributes:
-        simulator: Replays.
-        stretches: Logs.
-        prior: Servos of the robot file.
-        resting: Joints that no log moves, shape (n,).
-        reached: Least and largest position in any log, shape (2, n), [rad].
-        touched: Lowest height of each centre of mass in any log, NaN if no command
-            went lower, shape (n,), [m].
-    """
+    """Logs to fit, and the prior."""
 
     simulator: ServoSimulator
-    stretches: Sequence[Stretch]
-    prior: Drive
-    resting: Mask
-    reached: Array
+    stretches: Sequence[Stretch]  # logs
+    prior: Drive  # servos of the robot file
+    resting: Mask  # joints that no log moves, (n,)
+    reached: Array  # least and largest position in any log, (2, n), [rad]
+    # Lowest height of each centre of mass in any log, NaN if no command went lower,
+    # (n,), [m].
     touched: Array | float = np.nan
     _known: dict[bytes, Array] = field(default_factory=dict)
 
