@@ -587,6 +587,16 @@ def test_the_result_is_said_in_a_sentence():
     assert (row[0], row[1], row[3]) == ("mean of joints that move", "20.00", "1.00")
 
 
+@pytest.mark.parametrize("count", [0, 4, 6])
+def test_the_sentence_names_four_findings_and_counts_the_others(count):
+    several = [finding(joint=f"j{k}") for k in range(count)]
+    said = result(findings=tuple(several)).sentence
+    assert [f"at j{k}" in said for k in range(6)] == [
+        k < min(count, 4) for k in range(6)
+    ]
+    assert ("and 2 more" in said) == (count == 6) and said.count(" more") == (count > 4)
+
+
 def test_servos_are_saved_as_mjcf_only(tmp_path):
     with pytest.raises(HybridError, match="fit.json: an arm with servos is saved as"):
         result().save(tmp_path / "fit.json")
