@@ -520,7 +520,12 @@ def test_each_number_is_probed_by_usual_changes():
     )
     lone = np.eye(2)
     expected = {
-        "stiffness": [half, -half],
+        **{name: [half, -half] for name in ("stiffness", "coulomb", "armature")},
+        **{
+            name: [spread[name], 0.25 * spread[name]]
+            for name in ("stiction", "dead_band")
+        },
+        "play": [*(0.25 * spread["play"] * lone)],
         "damping": [half, -half, off],
         "offset": [0.05 * FILE.stall, -0.05 * FILE.stall],
         "zero": [np.full(2, 0.05), np.full(2, -0.05), [0.01, 0.02]],

@@ -1,6 +1,5 @@
 """Single steps of the search of servos, with evidence that is stated."""
 
-from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,11 +9,10 @@ from pendulum import pendulum
 
 from hybrid.servo import search as module
 from hybrid.servo.drive import NAMES, Drive
-from hybrid.servo.moves import Move, _usual_changes, probed
+from hybrid.servo.moves import Move
 from hybrid.servo.noise import Noise
-from hybrid.servo.problem import Estimate, Problem
+from hybrid.servo.problem import Estimate
 from hybrid.servo.search import Search
-from hybrid.servo.stretch import Stretch
 
 ROBOT = replace(
     pendulum(2), kp=np.array([25.0, 20.0]), kd=np.array([0.6, 0.4]),
@@ -309,79 +307,3 @@ def test_an_explanation_is_fitted_with_the_shapes_of_friction_and_no_sign():
     free = {(NAMES[k], j) for k, j in np.argwhere(given["free"]).tolist()}
     shapes = {(x, j) for x in ("stribeck_speed", "presliding") for j in (0, 1)}
     assert free == shapes | {("stiffness", 0)}
-
-
-# --- changes that are tried -----------------------------------------------------------
-
-
-def logs():
-    """A log whose command of the first joint goes beyond what was reached."""
-    t = 0.02 * np.arange(200)
-    command = np.stack([2.0 * np.sin(t), 0.5 * np.sin(2 * t)], axis=1)
-    q = np.clip(command, -0.7, 0.7)
-    stretch = Stretch(0.02, command, q, np.zeros(2))
-    reached = np.array([q.min(axis=0), q.max(axis=0)])
-    return Problem(
-        SimpleNamespace(), [stretch], FILE, np.zeros(2, bool), reached,
-        np.array([-0.4, np.nan]),
-    )  # fmt: skip
-
-
-def test_each_number_is_changed_by_what_is_usual_for_it():
-    problem, x = logs(), FILE.coordinates
-    hint = x + 0.125
-    found = _usual_changes(problem, x, hint)
-    assert set(found) == set(NAMES)
-    spread = FILE.spread
-    for name in ("stiffness", "damping", "coulomb", "armature"):
-        more, less, other = found[name]
-        assert (more == 0.5).all() and (less == -0.5).all()
-        np.testing.assert_allclose(other, 0.125)
-    for name in ("offset", "zero"):
-        k = NAMES.index(name)
-        np.testing.assert_allclose(found[name][0], spread[k])
-        np.testing.assert_allclose(found[name][1], -spread[k])
-    for name in ("stiction", "delay", "spring", "dead_band"):
-        k = NAMES.index(name)
-        np.testing.assert_allclose(found[name][:2], [spread[k], 0.25 * spread[k]])
-    k = NAMES.index("stall")
-    np.testing.assert_allclose(found["stall"], [-f * spread[k] for f in (1, 2, 3)])
-    (play,) = found["play"]
-    np.testing.assert_allclose(play, 0.25 * spread[NAMES.index("play")])
-    assert [x.tolist() for x in found["mass"]] == [[0.3, 0.3], [-0.3, -0.3]]
-    assert [x.tolist() for x in found["sign"]] == [[-2.0, -2.0]]
-
-
-def test_a_goal_is_slower_than_the_fastest_commands_and_stops_are_where_it_stopped():
-    problem, x = logs(), FILE.coordinates
-    found = _usual_changes(problem, x, x)
-    (stretch,) = problem.stretches
-    rate = np.abs(np.diff(stretch.command, axis=0)) / 0.02
-    fastest = np.quantile(rate, 0.98, axis=0)
-    np.testing.assert_allclose(found["pace"], [f / fastest for f in (1.2, 2.0, 4.0)])
-    (lower,), (upper,) = found["lower"], found["upper"]
-    np.testing.assert_allclose(lower, [-0.7 - FILE["lower"][0], 0.0])
-    np.testing.assert_allclose(upper, [0.7 - FILE["upper"][0], 0.0])
-    ground = FILE["ground"][0]
-    for far, change in zip((0.0, 0.01, 0.02), found["ground"], strict=True):
-        np.testing.assert_allclose(change, [-0.4 + far - ground, 0.0])
-
-
-def test_a_number_of_one_joint_is_probed_alone_where_it_moves_others():
-    problem = logs()
-    given = []
-    problem = replace(problem)
-    object.__setattr__(problem, "errors", lambda points: given.append(points) or [])
-    open_ = ~NONE
-    open_[STIFF, 1] = False
-    x = FILE.coordinates
-    changes, _ = probed(problem, x, open_, x)
-    rows = Counter(tuple(map(tuple, np.argwhere(c).tolist())) for c in changes)
-    # The hint is where the search is: it adds no change.
-    assert rows[((STIFF, 0),)] == 2 and rows[((DAMP, 0), (DAMP, 1))] == 2
-    assert rows[((MASS, 0),)] == 2 and rows[((MASS, 1),)] == 2
-    play = NAMES.index("play")
-    assert rows[((play, 0),)] == rows[((play, 1),)] == 1
-    assert len(given[0]) == len(changes)
-    moved = problem.prior.moved(x + changes[0]).coordinates
-    np.testing.assert_array_equal(given[0][0], moved)
