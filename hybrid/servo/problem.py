@@ -39,27 +39,21 @@ _KEPT = 64 * 2**20  # bytes of replays in the cache
 _PROBE = np.array([q.probe for q in QUANTITIES])[:, None]
 SHARED = np.array([q.shared for q in QUANTITIES])
 
+Place = tuple[int, int]  # quantity and joint
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Servos of which some parameters differ from the file: an explanation of logs.
+    """Servos of which some parameters differ from the file: an explanation of logs."""
 
-    Attributes:
-        x: Coordinates, shape (len(QUANTITIES), n).
-        free: Which of them are fitted, P of them.
-        errors: Replay errors over all stretches, shape (M, n), [rad].
-        causes: Which of them differ, shape (len(QUANTITIES), n).
-        equals: For a cause (quantity, joint), quantities that fit as well in its place.
-        losses: Evidence lost when one cause goes back to the file, [nats]; empty until
-            it is computed.
-    """
-
-    x: Array
-    free: Mask
-    errors: Array
-    causes: Mask
-    equals: Mapping[tuple[int, int], tuple[int, ...]] = field(default_factory=dict)
-    losses: Mapping[tuple[int, int], float] = field(default_factory=dict)
+    x: Array  # coordinates, (len(QUANTITIES), n)
+    free: Mask  # which of them are fitted, P of them
+    errors: Array  # replay errors over all stretches, (M, n), [rad]
+    causes: Mask  # which parameters differ from the file, (len(QUANTITIES), n)
+    # For a cause (quantity, joint), quantities that fit as well in its place.
+    equals: Mapping[Place, tuple[int, ...]] = field(default_factory=dict)
+    # Evidence lost when one cause goes back to the file, [nats], once it is computed.
+    losses: Mapping[Place, float] = field(default_factory=dict)
 
     @cached_property
     def usual(self) -> Array:

@@ -20,7 +20,7 @@ from hybrid.servo.drive import NAMES
 from hybrid.servo.evidence import COST, Curvature, evidence
 from hybrid.servo.moves import Move, probed, promising
 from hybrid.servo.noise import Noise
-from hybrid.servo.problem import SHARED, Estimate, Problem
+from hybrid.servo.problem import SHARED, Estimate, Place, Problem
 
 # No file states these shapes of friction: they are always fitted, and never a cause.
 _SHAPES = np.isin(NAMES, ("stribeck_speed", "presliding"))[:, None]
@@ -32,8 +32,6 @@ _CLEAR = 0.2  # of the best gain: a smaller one may come from another joint, and
 _CLOSE = 3.0  # nats: two explanations are about equally good (odds of 20)
 _TOLD = 1.0  # nats: a negligible difference (Jeffreys)
 _NEAR = 1  # rounds from the file before it is compared with the plain fit
-
-Place = tuple[int, int]
 
 
 class Search:
