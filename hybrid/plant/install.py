@@ -14,7 +14,7 @@ from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.joint_fields import soft_springs, split_effects
-from hybrid.plant.laws import Laws
+from hybrid.plant.laws import Laws, direction
 from hybrid.robot.actuators import motors_of
 from hybrid.robot.mjcf import knee_slope, sum_tendons
 from hybrid.robot.robot import Robot
@@ -106,11 +106,8 @@ class Installed:
         dof = self._dof
         q = data.qpos[model.jnt_qposadr[model.dof_jntid[dof]]][None]
         v, a = data.qvel[dof][None], data.qacc[dof][None]
-        push = np.where(data.qfrc_smooth[dof] < 0.0, -1.0, 1.0)
-        sign = np.where(v == 0.0, push, np.sign(v))
-        state = JointState(
-            np.full_like(q, data.time), q, v, a, sign, self._load(data, a)
-        )
+        sign, t = direction(v, data.qfrc_smooth[dof]), np.full_like(q, data.time)
+        state = JointState(t, q, v, a, sign, self._load(data, a))
         self._laws.evaluate(state, state, data.time - self._time)
         torque, self._time = self._laws.drive + self._laws.link, data.time
         if self._remainder is not None:

@@ -10,7 +10,7 @@ from hybrid.arrays import Array, Index
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, drives, overrides
-from hybrid.plant.laws import Laws
+from hybrid.plant.laws import Laws, direction
 
 _FASTEST = 1e3  # rad/s; a faster simulation has diverged
 
@@ -145,12 +145,8 @@ class Lockstep:
 
     def _states(self) -> tuple[JointState, JointState]:
         """States on the motor's and on the link's side, as inputs of the laws."""
-        # A joint exactly at rest will move in the direction of the net torque. A joint
-        # held by friction creeps in that direction already.
-        sign = np.sign(self.v)
-        if not sign.all():
-            push = np.where(self._net_torque < 0.0, -1.0, 1.0)
-            sign = np.where(self.v == 0.0, push, sign)
+        # A joint held by friction creeps in the direction of the net torque already.
+        sign = direction(self.v, self._net_torque)
         self._time[:] = self._now[:, None]
         warm = self.temperature
         motor = JointState(self._time, self.q, self.v, self.a, sign, self.load, warm)

@@ -73,8 +73,7 @@ def fit_servo(
     prior = Drive.declared(robot).at(mass=known_masses(robot, known))
     struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
     whole = stretches_of(logs)
-    sent = np.concatenate([x.sent for x in whole])
-    asked = np.stack([sent.min(axis=0), sent.max(axis=0)])
+    asked = _ends(np.concatenate([x.sent for x in whole]))
     learn, unseen = _split(whole)
     problem, start = _problem(simulator, learn, prior)
     allowed = np.tile(~problem.resting, (len(NAMES), 1))
@@ -149,17 +148,19 @@ def _problem(
     start = best_start(simulator, parts, guess, prior)
     start = replace(start, values=np.where(resting, prior.values, start.values))
     simulator = converged(simulator, parts, start, floor)
-    ends = [(x.q.min(axis=0), x.q.max(axis=0)) for x in logs]
-    reached = np.array([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))])
-    touched = np.full(robot.size, np.nan)
+    q, command = (
+        np.concatenate(x) for x in zip(*((x.q, x.command) for x in logs), strict=True)
+    )
+    reached, touched = _ends(q), np.full(robot.size, np.nan)
     if robot.chain.gravity.any():
-        low, asked = (
-            np.min([heights(robot, x).min(axis=0) for x in each], axis=0)
-            for each in ([x.q for x in logs], [x.command for x in logs])
-        )
+        low, asked = (heights(robot, x).min(axis=0) for x in (q, command))
         touched = np.where(asked < low, low, np.nan)
     problem = Problem(simulator, parts, prior, resting, reached, touched)
     return problem, start.coordinates
+
+
+def _ends(x: Array) -> Array:
+    return np.stack([x.min(axis=0), x.max(axis=0)])
 
 
 def _written(search: Search, best: Estimate) -> Estimate:
