@@ -128,12 +128,7 @@ def encoder_readings(
 
 @typed
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
-    """Check that a plant of n joints can simulate the effects.
-
-    Raises:
-        EffectError: An effect has neither a hook nor a law, or a joint out
-            of range.
-    """
+    """Refuse effects that a plant of n joints cannot simulate."""
     for effect in effects:
         if not (has_hook(effect) or isinstance(effect, JointEffect)):
             raise EffectError(

@@ -26,10 +26,6 @@ _OWN = (
 )  # fmt: skip
 
 
-class _Remainder(Protocol):
-    def predict(self, q: Array, v: Array) -> Array: ...
-
-
 class _Model(Protocol):
     """The part of a dynamic model that is used here."""
 
@@ -38,7 +34,7 @@ class _Model(Protocol):
     @property
     def effects(self) -> tuple[Effect, ...]: ...
     @property
-    def remainder(self) -> _Remainder | None: ...
+    def remainder(self) -> Any: ...
 
 
 class Installed:
