@@ -1,6 +1,6 @@
 """Fit servos to logs of command and position by replays.
 
-Estimates compete by their evidence, see :mod:`hybrid.servo.search`. A parameter of
+Explanations compete by their evidence, see :mod:`hybrid.servo.search`. A parameter of
 the file is wrong with probability 1/(1 + e^−l), where l is the evidence lost if it goes
 back to the file.
 """
@@ -148,12 +148,13 @@ def _problem(
     start = best_start(simulator, parts, guess, prior)
     start = replace(start, values=np.where(resting, prior.values, start.values))
     simulator = converged(simulator, parts, start, floor)
-    q, command = (
-        np.concatenate(x) for x in zip(*((x.q, x.command) for x in logs), strict=True)
-    )
-    reached, touched = _ends(q), np.full(robot.size, np.nan)
+    reached = _ends(np.concatenate([x.q for x in logs]))
+    touched = np.full(robot.size, np.nan)
     if robot.chain.gravity.any():
-        low, asked = (heights(robot, x).min(axis=0) for x in (q, command))
+        low, asked = (
+            np.min([heights(robot, x).min(axis=0) for x in each], axis=0)
+            for each in ([x.q for x in logs], [x.command for x in logs])
+        )
         touched = np.where(asked < low, low, np.nan)
     problem = Problem(simulator, parts, prior, resting, reached, touched)
     return problem, start.coordinates
