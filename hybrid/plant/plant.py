@@ -73,10 +73,7 @@ class Plant:
             object.__setattr__(self, name, x)
 
     def run(
-        self,
-        references: Sequence[Reference],
-        *,
-        seed: int | np.random.Generator = 0,
+        self, references: Sequence[Reference], *, seed: int | np.random.Generator = 0
     ) -> list[Recording]:
         """Follow references, all at the same time, and log.
 

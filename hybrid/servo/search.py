@@ -172,11 +172,7 @@ class Search:
         return out
 
     def _mixed(
-        self,
-        now: Estimate,
-        tried: Sequence[Estimate],
-        which: Array,
-        noise: Noise,
+        self, now: Estimate, tried: Sequence[Estimate], which: Array, noise: Noise
     ) -> Estimate | None:
         """Combine trials: each joint as in one of them or unchanged (−1).
 

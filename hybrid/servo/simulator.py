@@ -248,10 +248,7 @@ class _FrictionLevels:
 
 
 def converged(
-    simulator: ServoSimulator,
-    stretches: Sequence[Stretch],
-    drive: Drive,
-    floor: Array,
+    simulator: ServoSimulator, stretches: Sequence[Stretch], drive: Drive, floor: Array
 ) -> ServoSimulator:
     """A simulator with the longest step at which replays have converged.
 
