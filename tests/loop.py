@@ -35,21 +35,13 @@ class Loop:
     kp: Array
     kd: Array
 
-    def torque(self) -> Array:
-        """Torque that the controller asks for, shape (N, n), [N·m]."""
-        return (
-            self.feedforward
-            + self.kp * (self.q_ref - self.q)
-            + self.kd * (self.v_ref - self.v)
-        )
 
+def commanded_torque(loop: Loop, effects: Sequence[Effect] = ()) -> Array:
+    """Torque that the drives are asked for, to compare with the log's, (N, n), [N·m].
 
-def loop_with(loop: Loop, effects: Sequence[Effect]) -> Loop:
-    """The loop as it is with effects between command and torque.
-
-    Args:
-        loop: The loop as it is thought to be.
-        effects: Effects; those that act elsewhere change nothing here.
+    An effect between command and torque leaves no trace in the rigid body's residual.
+    Here it does: a fit finds its gains from the difference of this and the log. Effects
+    that act elsewhere change nothing.
     """
     for effect in effects:
         actuator, changed = effect.actuator, {}
@@ -63,20 +55,5 @@ def loop_with(loop: Loop, effects: Sequence[Effect]) -> Loop:
         kp[j] *= actuator.get("stiffness", 1.0)
         kd[j] *= actuator.get("damping", 1.0)
         loop = replace(loop, kp=kp, kd=kd, **changed)
-    return loop
-
-
-def commanded_torque(loop: Loop, effects: Sequence[Effect] = ()) -> Array:
-    """Torque that the drives are asked for, to compare with the torque logged.
-
-    An effect between command and torque leaves no trace in the rigid body's residual.
-    Here it does: a fit finds its gains from the difference of this and the log.
-
-    Args:
-        loop: The loop as it is thought to be.
-        effects: Effects on it.
-
-    Returns:
-        Torque, shape (N, n), [N·m].
-    """
-    return loop_with(loop, effects).torque()
+    off, slower = loop.q_ref - loop.q, loop.v_ref - loop.v
+    return loop.feedforward + loop.kp * off + loop.kd * slower

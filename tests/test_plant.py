@@ -1,9 +1,11 @@
 """The plant obeys mechanics, realises every effect, and logs what it says."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import ClassVar
 
+import mujoco
 import numpy as np
 import pytest
 from arms import public_arm
@@ -11,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybrid.effects import Effect, Port, effect_class
-from hybrid.errors import EffectError, HybridError, HybridWarning, RobotError
+from hybrid.errors import EffectError, HybridError, RobotError
 from hybrid.plant import Noise, Plant, Reference, load_truth, random_fourier, simulate
 from hybrid.plant.arm import build_arm, inverse_dynamics
 from hybrid.plant.lockstep import Lockstep
@@ -33,28 +35,23 @@ HINGE_INERTIA = 0.3 + 0.02 + 2 * 0.5**2  # rotor and link, kg·m²
 WEIGHT = 2 * 9.81 * 0.5  # N·m with the hinge's link horizontal
 
 
-@pytest.fixture
-def load(tmp_path):
-    def load(text: str) -> Robot:
-        path = tmp_path / "arm.xml"
-        path.write_text(text)
-        return Robot.load(path)
-
-    return load
+@cache
+def load(text: str) -> Robot:
+    return Robot.load(mujoco.MjModel.from_xml_string(text))
 
 
 @pytest.fixture
-def pendulum(load):
+def pendulum():
     return load(HINGE.format(axis="0 -1 0"))
 
 
 @pytest.fixture
-def turntable(load):
+def turntable():
     return load(HINGE.format(axis="0 0 1"))
 
 
 @pytest.fixture
-def two_links(load):
+def two_links():
     return load(TWO_LINKS)
 
 
@@ -62,7 +59,7 @@ def effect(name: str, *joints: int, **values: float) -> Effect:
     return effect_class(name)(joints or (0,), values)
 
 
-def motions(robot: Robot, count: int = 1, duration: float = 2.5) -> list[Reference]:
+def motions(robot: Robot, count: int = 1, duration: float = 1.5) -> list[Reference]:
     children = np.random.default_rng(5).spawn(count)
     return [
         random_fourier(robot, duration=duration, rate=500, seed=rng) for rng in children
@@ -79,6 +76,12 @@ def run(robot, effects=(), references=None, **options):
     options = {"noise": Noise.none(robot.size), "step": 0.001} | options
     plant = Plant(robot, effects, **options)
     return plant.run(references or motions(robot), seed=np.random.default_rng(0))
+
+
+@cache
+def plain_log():
+    """The two links without effects."""
+    return run(load(TWO_LINKS))[0]
 
 
 def residual(robot, recording):
@@ -104,7 +107,7 @@ def test_a_free_arm_keeps_its_energy(two_links, integrator, step, tolerance):
     free = Servo(kp=np.zeros(2), kd=np.zeros(2), limit=np.full(2, np.inf))
     (log,) = run(
         two_links,
-        references=[hold([0.3, -0.5], 2.0)],
+        references=[hold([0.3, -0.5], 1.2)],
         servo=free,
         integrator=integrator,
         step=step,
@@ -116,8 +119,6 @@ def test_a_free_arm_keeps_its_energy(two_links, integrator, step, tolerance):
 
 
 def energies(robot, log):
-    import mujoco
-
     model = robot.mujoco_spec().compile()
     model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data = mujoco.MjData(model)
@@ -155,7 +156,7 @@ def test_declared_friction_stays_in_the_plant(two_links):
 
 
 def test_logged_speed_belongs_to_the_logged_position(two_links):
-    (log,) = run(two_links)
+    (log,) = run(two_links, references=motions(two_links, duration=2.5))
     _, v, _ = residual(two_links, log)
     np.testing.assert_allclose(log.v[1:-1], v, atol=1e-4 * np.abs(v).max())
 
@@ -170,7 +171,7 @@ def test_the_arm_follows_its_command(two_links):
 
 def test_the_same_seed_gives_identical_arrays(two_links):
     effects = [effect("coulomb", 1, level=0.5), effect("torque_ripple", 0, sine=0.3)]
-    options = {"trajectories": 2, "duration": 1.5}
+    options = {"trajectories": 2, "duration": 0.6}
     first = simulate(two_links, effects, seed=3, **options)
     again = simulate(two_links, effects, seed=3, **options)
     other = simulate(two_links, effects, seed=4, **options)
@@ -182,11 +183,11 @@ def test_the_same_seed_gives_identical_arrays(two_links):
 
 def test_a_trajectory_does_not_depend_on_its_companions(two_links):
     effects = [effect("stribeck", 0, level=2.0), effect("load_friction", 1)]
-    long, short = motions(two_links, 1, 2.0)[0], motions(two_links, 2, 1.0)[1]
+    long, short = motions(two_links, 1, 1.0)[0], motions(two_links, 2, 0.5)[1]
     together = run(two_links, effects, [long, short], noise=Noise.typical(two_links))
     alone = run(two_links, effects, [long], noise=Noise.typical(two_links))
     np.testing.assert_array_equal(together[0].tau, alone[0].tau)
-    assert len(together[1].t) == 501 and len(together[0].t) == 1001
+    assert len(together[1].t) == 251 and len(together[0].t) == 501
 
 
 # Dry friction
@@ -235,8 +236,8 @@ def test_a_joint_sticks_below_the_level_and_breaks_away_at_it(
 def test_a_stuck_joint_carries_its_weight_without_creeping(pendulum):
     loose = Servo(kp=np.zeros(1), kd=np.zeros(1), limit=np.full(1, np.inf))
     level = effect("coulomb", level=1.05 * WEIGHT)
-    (log,) = run(pendulum, [level], [hold([0.0], 5.0)], servo=loose)
-    assert np.abs(log.q).max() < 2e-4
+    (log,) = run(pendulum, [level], [hold([0.0], 2.0)], servo=loose)
+    assert np.abs(log.q).max() < 1e-4
 
 
 def test_coulomb_friction_is_a_level_against_motion(two_links):
@@ -272,13 +273,7 @@ def test_load_friction_grows_with_the_transmitted_torque(two_links):
 # Other effects
 
 
-def test_viscous_friction_is_proportional_to_speed(two_links):
-    (log,) = run(two_links, [effect("viscous", 0, coefficient=3.0)])
-    rest, v, _ = residual(two_links, log)
-    assert rms(rest[:, 0] - 3.0 * v[:, 0]) < 0.005 * rms(3.0 * v[:, 0])
-
-
-def test_strong_damping_does_not_shake_a_light_link(load):
+def test_strong_damping_does_not_shake_a_light_link():
     """As on a wrist whose file knows of no rotor: it slows down in less than a step."""
     light = HINGE.replace('armature="0.3"', "").replace('mass="2"', 'mass="1e-3"')
     light = light.replace(".01 .02 .02", "1e-4 2e-4 2e-4")
@@ -302,19 +297,6 @@ def test_ripple_appears_at_its_spatial_frequency(turntable):
     np.testing.assert_allclose(fits[12][0], [0.4, 0.3], atol=0.005)
 
 
-def test_two_ripples_at_one_joint_add_up(turntable):
-    one, two = (effect("torque_ripple", sine=0.4, periods=k) for k in (3, 8))
-    (log,) = run(turntable, [one, two])
-    rest, _, q = residual(turntable, log)
-    np.testing.assert_allclose(rest, 0.4 * (np.sin(3 * q) + np.sin(8 * q)), atol=0.01)
-
-
-def test_offset_is_added_to_the_reported_torque(two_links):
-    (log,) = run(two_links, [effect("torque_offset", 1, level=-0.8)])
-    rest, _, _ = residual(two_links, log)
-    np.testing.assert_allclose(rest[:, 1], -0.8, atol=0.01)
-
-
 def test_gain_multiplies_the_reported_torque(two_links):
     (log,) = run(two_links, [effect("torque_gain", 0, gain=0.2)])
     rest, _, _ = residual(two_links, log)
@@ -325,18 +307,10 @@ def test_gain_multiplies_the_reported_torque(two_links):
 
 def test_delay_reports_an_older_torque(two_links):
     (late,) = run(two_links, [effect("delay", 1, time=0.02)])
-    (prompt,) = run(two_links)
+    prompt = plain_log()
     np.testing.assert_array_equal(late.q, prompt.q)
     np.testing.assert_array_equal(late.tau[:, 0], prompt.tau[:, 0])
     np.testing.assert_allclose(late.tau[10:, 1], prompt.tau[:-10, 1], atol=1e-12)
-
-
-def test_armature_adds_inertia_to_its_joint_only(two_links):
-    (log,) = run(two_links, [effect("armature", 1, inertia=0.25)])
-    rest, v, _ = residual(two_links, log)
-    a = np.gradient(v[:, 1], log.t[1:-1])
-    assert rms(rest[:, 1] - 0.25 * a) < 0.01 * rms(0.25 * a)
-    assert rms(rest[:, 0]) < 2e-3 * rms(log.tau[:, 0])
 
 
 def test_payload_raises_the_holding_torque(pendulum):
@@ -347,12 +321,6 @@ def test_payload_raises_the_holding_torque(pendulum):
     sag = log.q[-1, 0]
     assert sag == pytest.approx(-9.81 * 1.2 / stiffness, rel=0.01)
     assert log.tau[-1, 0] == pytest.approx(expected * np.cos(sag), rel=1e-3)
-
-
-def test_a_spring_pulls_in_proportion_to_position(turntable):
-    (log,) = run(turntable, [effect("spring", stiffness=20.0, preload=3.0)])
-    rest, _, q = residual(turntable, log)
-    np.testing.assert_allclose(rest, 20.0 * q + 3.0, atol=0.03)
 
 
 # Elasticity
@@ -396,7 +364,7 @@ def test_friction_and_environment_act_on_their_sides_of_the_spring(pendulum):
         effect("spring", stiffness=30.0, preload=4.0),
         effect("load_friction", coefficient=0.1),
     ]
-    (log,) = run(pendulum, effects, [hold([0.0], 2.0)])
+    (log,) = run(pendulum, effects, [hold([0.0], 1.5)])
     load = log.tau[-1, 0]  # at rest friction takes anything up to its level
     link = log.q[-1, 0] - 0.002 * load
     weight = WEIGHT * np.cos(link) + 30.0 * link + 4.0
@@ -404,7 +372,7 @@ def test_friction_and_environment_act_on_their_sides_of_the_spring(pendulum):
     assert abs(log.v[-1, 0]) < 1e-5
 
 
-def test_elasticity_without_a_rotor_is_refused(load):
+def test_elasticity_without_a_rotor_is_refused():
     massless = load(HINGE.format(axis="0 0 1").replace('armature="0.3"', ""))
     with pytest.raises(EffectError, match="rotor"):
         Plant(massless, [effect("elasticity", compliance=0.001)])
@@ -452,7 +420,7 @@ def test_a_gear_may_both_twist_and_have_play(pendulum):
     assert log.tau[-1, 0] == pytest.approx(WEIGHT * np.cos(sag), rel=1e-3)
 
 
-def test_a_play_without_a_rotor_is_refused(load):
+def test_a_play_without_a_rotor_is_refused():
     massless = load(HINGE.format(axis="0 0 1").replace('armature="0.3"', ""))
     with pytest.raises(EffectError, match="backlash at 'turn' needs a rotor"):
         Plant(massless, [effect("backlash", half_width=0.001)])
@@ -517,7 +485,7 @@ def test_a_shifted_encoder_misleads_the_controller_too(pendulum):
 
 def test_late_commands_make_a_late_motion(two_links):
     (late,) = run(two_links, [effect("command_latency", k, time=0.05) for k in (0, 1)])
-    (prompt,) = run(two_links)
+    prompt = plain_log()
     np.testing.assert_array_equal(late.command, prompt.command)
     np.testing.assert_allclose(late.q[50:], prompt.q[25:-25], atol=2e-4)
 
@@ -546,7 +514,7 @@ def test_a_servo_is_slower_than_its_drive(two_links):
 def test_a_sampled_servo_damps_every_motion_of_all_joints_in_every_posture(name):
     plant, rng = Plant(public_arm(name)), np.random.default_rng(5)
     robot, period = plant.robot, 1 / plant.control_rate
-    for q in rng.uniform(-np.pi, np.pi, (300, robot.size)):
+    for q in rng.uniform(-np.pi, np.pi, (100, robot.size)):
         still = np.zeros((robot.size, robot.size))
         unit = np.eye(robot.size)
         at_rest = inverse_dynamics(robot, still + q, still, still)
@@ -565,18 +533,6 @@ def test_a_drive_at_its_limit_cannot_carry_what_it_says(pendulum):
 # Noise
 
 
-def test_torque_noise_has_the_covariance_asked_for():
-    covariance = np.array([[4.0, 1.2, 0.0], [1.2, 1.0, -0.2], [0.0, -0.2, 0.25]])
-    noise = replace(Noise.none(3), torque_covariance=covariance, correlation_time=0.002)
-    zero = np.zeros((200_000, 3))
-    signals = {"q": zero, "v": zero, "tau": zero}
-    out = noise.apply(signals, rate=500, rng=np.random.default_rng(1))
-    np.testing.assert_allclose(np.cov(out["tau"].T), covariance, atol=0.04)
-    np.testing.assert_array_equal(out["q"], 0)
-    x = out["tau"][:, 0]
-    assert np.corrcoef(x[1:], x[:-1])[0, 1] == pytest.approx(np.exp(-1), abs=0.01)
-
-
 def test_the_encoder_rounds_to_its_steps():
     step = np.array([0.01, 0.0])
     noise = replace(Noise.none(2), position_resolution=step)
@@ -586,32 +542,6 @@ def test_the_encoder_rounds_to_its_steps():
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
     assert np.abs(out["q"] - q).max() <= 0.005 + 1e-12
     np.testing.assert_array_equal(out["q"][:, 1], q[:, 1])
-
-
-def test_usual_noise_follows_rated_torque(two_links):
-    rated = replace(two_links, tau_max=np.array([100.0, 20.0]))
-    noise = Noise.typical(rated)
-    np.testing.assert_allclose(
-        noise.torque_covariance, [[0.25, 0.4 * 0.05], [0.4 * 0.05, 0.01]]
-    )
-    unrated = Noise.typical(two_links)
-    assert (np.diag(unrated.torque_covariance) > 0).all()
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"torque_covariance": np.array([[1.0, 2.0], [2.0, 1.0]])},
-        {"torque_covariance": np.array([[1.0, 0.5], [0.0, 1.0]])},
-        {"torque_covariance": np.eye(3)},
-        {"position_resolution": np.array([-1.0, 0.0])},
-        {"correlation_time": -1.0},
-    ],
-    ids=str,
-)
-def test_impossible_noise_is_refused(bad):
-    with pytest.raises(HybridError):
-        replace(Noise.none(2), **bad)
 
 
 # References
@@ -724,8 +654,6 @@ def test_a_plant_refuses_what_it_cannot_be(two_links, options, message):
     ("options", "message"),
     [
         ({"trajectories": 0}, "trajectories is 0"),
-        ({"duration": -1.0}, "duration is -1 s"),
-        ({"duration": float("nan")}, "duration is nan"),
         ({"fill": 2.0}, "fill is 2"),
     ],
 )
@@ -737,21 +665,12 @@ def test_simulate_refuses_arguments_out_of_range(two_links, options, message):
 def test_a_plant_refuses_motions_of_another_arm(two_links):
     with pytest.raises(HybridError, match="2 joints"):
         run(two_links, references=[hold([0.0])])
-    with pytest.raises(HybridError, match="uniform"):
-        Reference(np.array([0.0, 1.0, 3.0]), *np.zeros((3, 3, 2)))
 
 
 def test_a_diverging_simulation_stops_with_a_reason(turntable):
     mad = Servo(kp=np.zeros(1), kd=np.full(1, 1e6), limit=np.full(1, np.inf))
     with pytest.raises(HybridError, match="diverges at"):
         run(turntable, servo=mad)
-
-
-def test_saturation_is_reported(pendulum):
-    weak = replace(pendulum, tau_max=np.full(1, 0.5 * WEIGHT))
-    with pytest.warns(HybridWarning, match="'turn' was at its torque limit"):
-        (log,) = run(weak, references=[hold([0.0])])
-    assert np.abs(log.tau).max() <= 0.5 * WEIGHT
 
 
 # Truths
@@ -770,9 +689,15 @@ plant: {log_rate: 250}
 """
 
 
-def test_a_truth_is_a_nominal_robot_and_a_plant_that_differs(two_links, tmp_path):
-    path = tmp_path / "truth.yaml"
-    path.write_text(TRUTH)
+def truth(folder: Path, text: str = TRUTH) -> Path:
+    """A file of a truth, beside the robot that it names."""
+    (folder / "arm.xml").write_text(TWO_LINKS)
+    (folder / "truth.yaml").write_text(text)
+    return folder / "truth.yaml"
+
+
+def test_a_truth_is_a_nominal_robot_and_a_plant_that_differs(tmp_path):
+    path = truth(tmp_path)
     nominal, plant = load_truth(path)
     before, after = nominal.chain.inertial, plant.robot.chain.inertial
     np.testing.assert_array_equal(before[0], after[0])
@@ -783,8 +708,6 @@ def test_a_truth_is_a_nominal_robot_and_a_plant_that_differs(two_links, tmp_path
     assert plant.servo.feedforward is nominal
     (log,) = simulate(plant, trajectories=1, duration=1.0)
     assert len(log.t) == 251 and log.joints == ("shoulder", "elbow")
-    with pytest.raises(HybridError, match="own effects"):
-        simulate(plant, [effect("coulomb")])
 
 
 @pytest.mark.parametrize(
@@ -804,11 +727,8 @@ def test_a_truth_is_a_nominal_robot_and_a_plant_that_differs(two_links, tmp_path
         ("log_rate: 250", "log_rate: [", "not a readable YAML"),
     ],
 )
-def test_a_truth_with_a_mistake_is_refused_by_name(
-    two_links, tmp_path, old, new, message
-):
-    path = tmp_path / "truth.yaml"
-    path.write_text(TRUTH.replace(old, new))
+def test_a_truth_with_a_mistake_is_refused_by_name(tmp_path, old, new, message):
+    path = truth(tmp_path, TRUTH.replace(old, new))
     with pytest.raises(HybridError, match=message) as error:
         load_truth(path)
     assert "\n" not in str(error.value)
@@ -823,7 +743,7 @@ def test_a_missing_truth_is_refused(tmp_path):
 def test_the_shipped_truth_moves_within_its_limits():
     models = Path(__file__).parents[1] / "models"
     nominal, plant = load_truth(models / "coman_truth.yaml")
-    (log,) = simulate(plant, trajectories=1, duration=2.0)
+    (log,) = simulate(replace(plant, step=0.001), trajectories=1, duration=2.0)
     assert log.joints == nominal.joints
     assert (np.abs(log.tau).max(axis=0) < nominal.tau_max).all()
     assert np.abs(log.q - log.command).max() < 0.05

@@ -15,7 +15,6 @@ from hybrid.recording import Recording
 from hybrid.report.servo import gap_table, servos_table, write_servo_page
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, QUANTITIES, Drive
-from hybrid.servo.evidence import Explanation
 from hybrid.servo.fit import _clips, _notes, _problem, _result, _unsaid, fit_servo
 from hybrid.servo.model import (
     bristles,
@@ -316,8 +315,6 @@ def test_the_physics_steps_as_long_as_replays_do_not_change(off, floor, step):
 
 def test_a_replay_that_misses_by_far_needs_no_short_step():
     q = np.zeros((50, 2))
-    far = Stands(np.array([1.0, 1.0]))
-    far.replay = far.with_step = None
     at = {0.005: 1.0, 0.0025: 1.029, 0.00125: 1.03, 0.000625: 1.03}
 
     class Far:
@@ -346,21 +343,10 @@ def test_what_a_replay_misses_is_an_rms_over_all_logs():
     np.testing.assert_allclose(found, [[0.5, 0.25], [3.0, np.inf]])
 
 
-def test_stretches_of_any_length_are_replayed_as_if_alone():
-    t = STEP * np.arange(40)[:, None]
-    goal = 0.3 * np.sin(4.0 * t) * [1.0, -1.0]
-    long = Stretch(STEP, goal, goal, np.zeros(2))
-    short = replace(long.cut(0, 17), v=np.array([0.3, 0.0]))
-    drives = [FILE, FILE.at(dead_band=[0.02, 0.0], zero=0.1), FILE.at(sign=[1.0, -1.0])]
-    simulator = ServoSimulator(ROBOT)
-    both = simulator.replay([long, short], drives)
-    for drive, moved in zip(drives, both, strict=True):
-        for part, q in zip((long, short), moved, strict=True):
-            ((alone,),) = ServoSimulator(ROBOT).replay([part], [drive])
-            np.testing.assert_allclose(q, alone, atol=1e-9)
-            assert q.shape == part.q.shape and (q[0] == part.q[0]).all()
-    assert np.abs(both[0][0] - both[1][0]).max() > 1e-3
-    (run,) = simulator.runs([short], [FILE])
+def test_a_replay_starts_in_the_state_of_its_stretch():
+    goal = 0.3 * np.sin(4.0 * STEP * np.arange(17)[:, None]) * [1.0, -1.0]
+    short = Stretch(STEP, goal, goal, np.array([0.3, 0.0]))
+    (run,) = ServoSimulator(ROBOT).runs([short], [FILE])
     assert run.parts == 4 and run.model.opt.timestep == pytest.approx(0.005)
     np.testing.assert_allclose(run.state[:5], [0.0, *short.q[0], *short.v])
 
@@ -391,7 +377,7 @@ def test_the_first_guess_is_the_servo_that_balances_the_motion():
         "coulomb": np.array([1.5, 0.6]), "armature": np.array([0.8, 0.3]),
         "offset": np.array([0.5, -0.3]),
     }  # fmt: skip
-    guess = first_guess(ROBOT, balanced(ROBOT, **law))
+    guess = first_guess(ROBOT, balanced(ROBOT, **law), FILE)
     usual = 1.0 / np.median(1.0 / law["stiffness"])  # one stiffness for all joints
     for name, x in law.items():
         expected = x * usual / law["stiffness"]
@@ -408,7 +394,7 @@ def test_a_first_guess_is_above_zero_and_the_file_s_where_nothing_has_weight():
     )
     none = np.zeros(2)
     logs = balanced(light, np.full(2, 15.0), none - 1.0, none, none - 1.0, none)
-    guess = first_guess(light, logs)
+    guess = first_guess(light, logs, Drive.declared(light))
     np.testing.assert_allclose(guess["stiffness"], 15.0)
     for name in ("damping", "armature"):
         np.testing.assert_allclose(guess[name], 1e-3 * 15.0)
@@ -521,7 +507,12 @@ def test_each_number_is_probed_by_usual_changes():
     )
     lone = np.eye(2)
     expected = {
-        "stiffness": [half, -half],
+        **{name: [half, -half] for name in ("stiffness", "coulomb", "armature")},
+        **{
+            name: [spread[name], 0.25 * spread[name]]
+            for name in ("stiction", "dead_band")
+        },
+        "play": [*(0.25 * spread["play"] * lone)],
         "damping": [half, -half, off],
         "offset": [0.05 * FILE.stall, -0.05 * FILE.stall],
         "zero": [np.full(2, 0.05), np.full(2, -0.05), [0.01, 0.02]],
@@ -586,6 +577,16 @@ def test_the_result_is_said_in_a_sentence():
     assert "cause" not in rests.sentence
     row = gap_table(rests).rows[-1]
     assert (row[0], row[1], row[3]) == ("mean of joints that move", "20.00", "1.00")
+
+
+@pytest.mark.parametrize("count", [0, 4, 6])
+def test_the_sentence_names_four_findings_and_counts_the_others(count):
+    several = [finding(joint=f"j{k}") for k in range(count)]
+    said = result(findings=tuple(several)).sentence
+    assert [f"at j{k}" in said for k in range(6)] == [
+        k < min(count, 4) for k in range(6)
+    ]
+    assert ("and 2 more" in said) == (count == 6) and said.count(" more") == (count > 4)
 
 
 def test_servos_are_saved_as_mjcf_only(tmp_path):
@@ -919,9 +920,7 @@ def test_a_result_holds_the_servos_of_the_plain_fit_and_those_found_and_written(
 ):
     def moved(by):
         free = np.zeros(FILE.values.shape, dtype=bool)
-        return Explanation(
-            Estimate(FILE.coordinates + by, free, np.zeros((5, 2))), free
-        )
+        return Estimate(FILE.coordinates + by, free, np.zeros((5, 2)), free)
 
     def replayed(simulator, stretches, drives):
         return [np.full(2, -1.0 if x is None else stiffness(x)) for x in drives]
@@ -934,7 +933,7 @@ def test_a_result_holds_the_servos_of_the_plain_fit_and_those_found_and_written(
                        ("_findings", lambda *_: ())):  # fmt: skip
         monkeypatch.setattr(f"hybrid.servo.fit.{name}", stub)
     problem = SimpleNamespace(
-        at=lambda x, free: Estimate(x, free, np.zeros((5, 2))),
+        errors=lambda points: [np.zeros((5, 2)) for _ in points],
         fitted=lambda start, *_: start,
         covariance=lambda *_: np.zeros((0, 0)),
         simulator=None, prior=FILE, stretches=[], resting=np.zeros(2, dtype=bool),

@@ -1,6 +1,5 @@
 """Single steps of the search of servos, with evidence that is stated."""
 
-from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,12 +9,10 @@ from pendulum import pendulum
 
 from hybrid.servo import search as module
 from hybrid.servo.drive import NAMES, Drive
-from hybrid.servo.evidence import Explanation
-from hybrid.servo.moves import Move, _usual_changes, probed
+from hybrid.servo.moves import Move
 from hybrid.servo.noise import Noise
-from hybrid.servo.problem import Problem
+from hybrid.servo.problem import Estimate
 from hybrid.servo.search import Search
-from hybrid.servo.stretch import Stretch
 
 ROBOT = replace(
     pendulum(2), kp=np.array([25.0, 20.0]), kd=np.array([0.6, 0.4]),
@@ -29,16 +26,13 @@ STIFF, DAMP, OFFSET, MASS = (
 NOISE = Noise(np.ones(2), np.full(2, 1e3))
 
 
-def made(*places, x=0.0, usual=(1.0, 1.0), **more):
-    """An explanation of some causes, with all coordinates the same."""
+def made(*places, x=0.0, **more):
+    """An estimate with some causes, with all coordinates the same."""
     causes = NONE.copy()
     for at in places:
         causes[at] = True
-    found = SimpleNamespace(
-        x=np.full(NONE.shape, float(x)), free=causes.copy(), usual=np.array(usual),
-        errors=np.zeros((3, 2)),
-    )  # fmt: skip
-    return Explanation(found, causes, **more)
+    x = np.full(NONE.shape, float(x))
+    return Estimate(x, causes.copy(), np.ones((3, 2)), causes, **more)
 
 
 def names(what):
@@ -60,17 +54,12 @@ class Stated(Search):
 
     def of(self, x, causes, turns=2):
         self.fitted.append(turns)
-        return Explanation(replace_x(made(), x, causes), causes)
+        return replace(made(), x=x.copy(), free=causes.copy(), causes=causes)
 
     def run(self, step, *given):
         with pytest.MonkeyPatch.context() as m:
             m.setattr(module, "evidence", self.evidence)
             return getattr(self, step)(*given)
-
-
-def replace_x(what, x, causes):
-    what.found.x, what.found.free = x.copy(), causes.copy()
-    return what.found
 
 
 def sums(**worth):
@@ -121,9 +110,9 @@ def test_each_joint_is_as_in_the_trial_that_it_gains_by():
     tried = [made((STIFF, 0), x=5.0), made((DAMP, 1), x=6.0)]
     mixed = search.run("_mixed", made(), tried, np.array([0, 1]), NOISE)
     assert names(mixed) == [("damping", 1), ("stiffness", 0)]
-    assert (mixed.found.x == [5.0, 6.0]).all()
+    assert (mixed.x == [5.0, 6.0]).all()
     one = search.run("_mixed", made(), tried, np.array([0, -1]), NOISE)
-    assert names(one) == [("stiffness", 0)] and (one.found.x == [5.0, 0.0]).all()
+    assert names(one) == [("stiffness", 0)] and (one.x == [5.0, 0.0]).all()
     assert search.run("_mixed", made(), tried, np.array([-1, -1]), NOISE) is None
 
 
@@ -273,7 +262,7 @@ def test_causes_whose_absence_gains_are_dropped_until_none_does():
     assert names(found) == [("damping", 1), ("stiffness", 0)]
     assert found.losses == {(STIFF, 0): 11.0, (DAMP, 1): 6.0}
     assert found.equals == {"kept": ()}
-    assert (found.found.x == 0.5).any()
+    assert (found.x == 0.5).any()
     assert search.said[0] == "servos: 4 causes, fewer"
 
 
@@ -302,95 +291,19 @@ def test_an_explanation_is_fitted_with_the_shapes_of_friction_and_no_sign():
     class Fits:
         def at(self, x, free):
             given["free"] = free
-            return SimpleNamespace(usual=np.array([1e3, 0.0]))
+            return replace(made(), errors=np.array([[1e3, 0.0]]))
 
         def fitted(self, start, noise, turns):
             given.update(far=noise.far, turns=turns)
-            return "fitted"
+            return replace(start, x=start.x + 1.0)
 
     search = Stated(sums())
     search.problem = Fits()
     causes = NONE.copy()
     causes[STIFF, 0] = causes[NAMES.index("sign"), 1] = True
     found = Search.of(search, np.zeros(NONE.shape), causes, 3)
-    assert found.found == "fitted" and found.causes is causes and given["turns"] == 3
+    assert (found.x == 1.0).all() and found.causes is causes and given["turns"] == 3
     np.testing.assert_array_equal(given["far"], [3e3, 1e3])
     free = {(NAMES[k], j) for k, j in np.argwhere(given["free"]).tolist()}
     shapes = {(x, j) for x in ("stribeck_speed", "presliding") for j in (0, 1)}
     assert free == shapes | {("stiffness", 0)}
-
-
-# --- changes that are tried -----------------------------------------------------------
-
-
-def logs():
-    """A log whose command of the first joint goes beyond what was reached."""
-    t = 0.02 * np.arange(200)
-    command = np.stack([2.0 * np.sin(t), 0.5 * np.sin(2 * t)], axis=1)
-    q = np.clip(command, -0.7, 0.7)
-    stretch = Stretch(0.02, command, q, np.zeros(2))
-    reached = np.array([q.min(axis=0), q.max(axis=0)])
-    return Problem(
-        SimpleNamespace(), [stretch], FILE, np.zeros(2, bool), reached,
-        np.array([-0.4, np.nan]),
-    )  # fmt: skip
-
-
-def test_each_number_is_changed_by_what_is_usual_for_it():
-    problem, x = logs(), FILE.coordinates
-    hint = x + 0.125
-    found = _usual_changes(problem, x, hint)
-    assert set(found) == set(NAMES)
-    spread = FILE.spread
-    for name in ("stiffness", "damping", "coulomb", "armature"):
-        more, less, other = found[name]
-        assert (more == 0.5).all() and (less == -0.5).all()
-        np.testing.assert_allclose(other, 0.125)
-    for name in ("offset", "zero"):
-        k = NAMES.index(name)
-        np.testing.assert_allclose(found[name][0], spread[k])
-        np.testing.assert_allclose(found[name][1], -spread[k])
-    for name in ("stiction", "delay", "spring", "dead_band"):
-        k = NAMES.index(name)
-        np.testing.assert_allclose(found[name][:2], [spread[k], 0.25 * spread[k]])
-    k = NAMES.index("stall")
-    np.testing.assert_allclose(found["stall"], [-f * spread[k] for f in (1, 2, 3)])
-    (play,) = found["play"]
-    np.testing.assert_allclose(play, 0.25 * spread[NAMES.index("play")])
-    assert [x.tolist() for x in found["mass"]] == [[0.3, 0.3], [-0.3, -0.3]]
-    assert [x.tolist() for x in found["sign"]] == [[-2.0, -2.0]]
-
-
-def test_a_goal_is_slower_than_the_fastest_commands_and_stops_are_where_it_stopped():
-    problem, x = logs(), FILE.coordinates
-    found = _usual_changes(problem, x, x)
-    (stretch,) = problem.stretches
-    rate = np.abs(np.diff(stretch.command, axis=0)) / 0.02
-    fastest = np.quantile(rate, 0.98, axis=0)
-    np.testing.assert_allclose(found["pace"], [f / fastest for f in (1.2, 2.0, 4.0)])
-    (lower,), (upper,) = found["lower"], found["upper"]
-    np.testing.assert_allclose(lower, [-0.7 - FILE["lower"][0], 0.0])
-    np.testing.assert_allclose(upper, [0.7 - FILE["upper"][0], 0.0])
-    ground = FILE["ground"][0]
-    for far, change in zip((0.0, 0.01, 0.02), found["ground"], strict=True):
-        np.testing.assert_allclose(change, [-0.4 + far - ground, 0.0])
-
-
-def test_a_number_of_one_joint_is_probed_alone_where_it_moves_others():
-    problem = logs()
-    given = []
-    problem = replace(problem)
-    object.__setattr__(problem, "errors", lambda points: given.append(points) or [])
-    open_ = ~NONE
-    open_[STIFF, 1] = False
-    x = FILE.coordinates
-    changes, _ = probed(problem, x, open_, x)
-    rows = Counter(tuple(map(tuple, np.argwhere(c).tolist())) for c in changes)
-    # The hint is where the search is: it adds no change.
-    assert rows[((STIFF, 0),)] == 2 and rows[((DAMP, 0), (DAMP, 1))] == 2
-    assert rows[((MASS, 0),)] == 2 and rows[((MASS, 1),)] == 2
-    play = NAMES.index("play")
-    assert rows[((play, 0),)] == rows[((play, 1),)] == 1
-    assert len(given[0]) == len(changes)
-    moved = problem.prior.moved(x + changes[0]).coordinates
-    np.testing.assert_array_equal(given[0][0], moved)

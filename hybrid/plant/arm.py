@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from hybrid.arguments import typed
@@ -24,26 +25,16 @@ _HOOKS = (
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A compiled arm of n motor joints, some of them in series with a deflection.
+    """A compiled arm of n motor joints, some of them in series with a deflection."""
 
-    Attributes:
-        model: MuJoCo model; its dofs are motor joints and deflections, in any order.
-        motor: Dof of each motor joint, shape (n,).
-        elastic: Joint index of each deflection, shape (m,); a joint with elasticity and
-            backlash occurs twice.
-        deflection: Dof of each deflection, shape (m,).
-        behind: Kind of each deflection, see :attr:`Effect.behind`.
-        armature: Rotor inertia of each motor joint, shape (n,), [kg·m²].
-        tip: MuJoCo body of the last link.
-    """
-
-    model: Any
-    motor: Index
+    model: Any  # its dofs are motor joints and deflections, in any order
+    motor: Index  # dof of each motor joint, (n,)
+    # Joint of each deflection, (m,); one with elasticity and backlash occurs twice.
     elastic: Index
-    deflection: Index
-    behind: tuple[str, ...]
-    armature: Array
-    tip: int
+    deflection: Index  # dof of each deflection, (m,)
+    behind: tuple[str, ...]  # kind of each deflection, see `Effect.behind`
+    armature: Array  # rotor inertia of each motor joint, (n,), [kg·m²]
+    tip: int  # MuJoCo body of the last link
 
 
 def build_arm(
@@ -58,8 +49,6 @@ def build_arm(
         HybridError: Step [s] or integrator is not valid, or MuJoCo refuses the model.
         EffectError: An effect cannot be simulated.
     """
-    import mujoco
-
     if integrator not in _INTEGRATORS:
         raise HybridError(
             f"no integrator {integrator!r}; valid are {', '.join(_INTEGRATORS)}"
@@ -139,12 +128,7 @@ def encoder_readings(
 
 @typed
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
-    """Check that a plant of n joints can simulate the effects.
-
-    Raises:
-        EffectError: An effect has neither a hook nor a law, or a joint out
-            of range.
-    """
+    """Refuse effects that a plant of n joints cannot simulate."""
     for effect in effects:
         if not (has_hook(effect) or isinstance(effect, JointEffect)):
             raise EffectError(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array
@@ -13,24 +14,16 @@ from hybrid.effects.instant import FIELDS
 from hybrid.errors import HybridError
 from hybrid.plant.arm import IMPEDANCE, has_hook, overrides
 from hybrid.plant.joint_fields import soft_springs, split_effects
-from hybrid.plant.laws import Laws
+from hybrid.plant.laws import Laws, direction
 from hybrid.robot.actuators import motors_of
 from hybrid.robot.mjcf import knee_slope, sum_tendons
 from hybrid.robot.robot import Robot
-
-if TYPE_CHECKING:
-    import mujoco
-
 
 _OWN = (
     "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
     "qpos_spring", "dof_solref", "dof_solimp", "tendon_frictionloss",
     "actuator_biasprm", "actuator_dynprm",
 )  # fmt: skip
-
-
-class _Remainder(Protocol):
-    def predict(self, q: Array, v: Array) -> Array: ...
 
 
 class _Model(Protocol):
@@ -41,7 +34,7 @@ class _Model(Protocol):
     @property
     def effects(self) -> tuple[Effect, ...]: ...
     @property
-    def remainder(self) -> _Remainder | None: ...
+    def remainder(self) -> Any: ...
 
 
 class Installed:
@@ -102,8 +95,6 @@ class Installed:
             getattr(self._model, name)[:] = x
         del _INSTALLED[id(self._data)]
         if not _INSTALLED:
-            import mujoco
-
             mujoco.set_mjcb_passive(None)
 
     def add(self, model: Any, data: Any) -> None:
@@ -111,11 +102,8 @@ class Installed:
         dof = self._dof
         q = data.qpos[model.jnt_qposadr[model.dof_jntid[dof]]][None]
         v, a = data.qvel[dof][None], data.qacc[dof][None]
-        push = np.where(data.qfrc_smooth[dof] < 0.0, -1.0, 1.0)
-        sign = np.where(v == 0.0, push, np.sign(v))
-        state = JointState(
-            np.full_like(q, data.time), q, v, a, sign, self._load(data, a)
-        )
+        sign, t = direction(v, data.qfrc_smooth[dof]), np.full_like(q, data.time)
+        state = JointState(t, q, v, a, sign, self._load(data, a))
         self._laws.evaluate(state, state, data.time - self._time)
         torque, self._time = self._laws.drive + self._laws.link, data.time
         if self._remainder is not None:
@@ -159,8 +147,6 @@ def install(
     Raises:
         HybridError: A joint of the model is not in the simulation.
     """
-    import mujoco
-
     if (earlier := _INSTALLED.get(id(data))) is not None:
         earlier.remove()
     installed = Installed(model, data, dynamic_model)

@@ -110,6 +110,14 @@ def _group(effects: Sequence[JointEffect], size: int) -> _Group:
     )
 
 
+def direction(v: Array, net_torque: Array) -> Array:
+    """Sign of speeds; a joint exactly at rest will move as the net torque does."""
+    sign = np.sign(v)
+    if sign.all():
+        return sign
+    return np.where(v == 0.0, np.where(net_torque < 0.0, -1.0, 1.0), sign)
+
+
 def part(state: JointState, joints: list[int]) -> JointState:
     """State of some of the joints."""
     signals = {k: x[:, joints] for k, x in vars(state).items() if x is not None}

@@ -3,13 +3,14 @@
 import copy
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array, Index
 from hybrid.effects import Effect, JointState
 from hybrid.errors import HybridError
 from hybrid.plant.arm import Arm, drives, overrides
-from hybrid.plant.laws import Laws
+from hybrid.plant.laws import Laws, direction
 
 _FASTEST = 1e3  # rad/s; a faster simulation has diverged
 
@@ -36,9 +37,6 @@ class Lockstep:
         self, arm: Arm, effects: Sequence[Effect], start: Array, *, time: float = 0.0
     ) -> None:
         """Place every trajectory at rest, at motor positions of shape (B, n), [rad]."""
-        import mujoco
-
-        self._advance = mujoco.mj_step
         self._arm = arm
         batch, n = start.shape
         self.recordings: Index = np.arange(batch)
@@ -73,8 +71,6 @@ class Lockstep:
 
     def _settle(self, start: Array) -> None:
         """Set deflections to equilibrium with gravity."""
-        import mujoco
-
         arm = self._arm
         joint = arm.model.dof_jntid[arm.deflection]
         stiffness, stop = arm.model.jnt_stiffness[joint], arm.model.jnt_range[joint, 1]
@@ -98,7 +94,7 @@ class Lockstep:
             delivered = self._delivered(torque)
             self._act(delivered)
             for model, data in zip(self._models, self._datas, strict=True):
-                self._advance(model, data, count)
+                mujoco.mj_step(model, data, count)
             self._read()
             if len(self._laws) or not left:  # without laws nobody asks in between
                 self._read_torque(delivered)
@@ -149,12 +145,8 @@ class Lockstep:
 
     def _states(self) -> tuple[JointState, JointState]:
         """States on the motor's and on the link's side, as inputs of the laws."""
-        # A joint exactly at rest will move in the direction of the net torque. A joint
-        # held by friction creeps in that direction already.
-        sign = np.sign(self.v)
-        if not sign.all():
-            push = np.where(self._net_torque < 0.0, -1.0, 1.0)
-            sign = np.where(self.v == 0.0, push, sign)
+        # A joint held by friction creeps in the direction of the net torque already.
+        sign = direction(self.v, self._net_torque)
         self._time[:] = self._now[:, None]
         warm = self.temperature
         motor = JointState(self._time, self.q, self.v, self.a, sign, self.load, warm)
@@ -168,6 +160,9 @@ class Lockstep:
 
     def _read(self) -> None:
         self.q, self.v = self._of_motors(self._gather(self._motion))
+        self._check_speed()
+
+    def _check_speed(self) -> None:
         # The comparison is written so that NaN fails it too.
         if not np.vdot(self.v, self.v) < _FASTEST**2 * self.v.size:
             raise HybridError(

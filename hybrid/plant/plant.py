@@ -56,43 +56,24 @@ class Plant:
     arm: Arm = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "effects", tuple(self.effects))
-        arm = build_arm(
-            self.robot, self.effects, step=self.step, integrator=self.integrator
-        )
-        set_(self, "arm", arm)
+        robot, n, effects = self.robot, self.robot.size, tuple(self.effects)
+        arm = build_arm(robot, effects, step=self.step, integrator=self.integrator)
         _ratio("control_rate", 1.0 / self.step, self.control_rate)
         _ratio("log_rate", self.control_rate, self.log_rate)
-        nominal, n = self.nominal or self.robot, self.robot.size
-        set_(self, "nominal", nominal)
-        set_(self, "noise", self.noise or Noise.typical(self.robot))
-        if self.servo is None:
-            lag = np.zeros(n)
-            for effect in self.effects:
+        nominal, noise = self.nominal or robot, self.noise or Noise.typical(robot)
+        servo, period, lag = self.servo, 1.0 / self.control_rate, np.zeros(n)
+        if servo is None:
+            for effect in effects:
                 lag[list(effect.joints)] += effect.actuator.get("lag", 0.0)
-            period = 1.0 / self.control_rate
-            set_(self, "servo", Servo.tuned(arm, nominal, period=period, lag=lag))
-        if len(self._noise.torque_covariance) != n or len(self._servo.kp) != n:
+            servo = Servo.tuned(arm, nominal, period=period, lag=lag)
+        if len(noise.torque_covariance) != n or len(servo.kp) != n:
             raise HybridError(f"noise and servo need {n} joints, as the robot has")
-
-    # Never None after construction; the fields are optional for the caller only.
-
-    @property
-    def _noise(self) -> Noise:
-        assert self.noise is not None
-        return self.noise
-
-    @property
-    def _servo(self) -> Servo:
-        assert self.servo is not None
-        return self.servo
+        made = {"effects": effects, "arm": arm, "nominal": nominal, "noise": noise}
+        for name, x in (made | {"servo": servo}).items():
+            object.__setattr__(self, name, x)
 
     def run(
-        self,
-        references: Sequence[Reference],
-        *,
-        seed: int | np.random.Generator = 0,
+        self, references: Sequence[Reference], *, seed: int | np.random.Generator = 0
     ) -> list[Recording]:
         """Follow references, all at the same time, and log.
 
@@ -109,23 +90,27 @@ class Plant:
         Warns:
             HybridWarning: A drive was at its torque limit too often.
         """
-        n = self.robot.size
+        n, recordings = self.robot.size, []
         if not references or any(r.q.shape[1] != n for r in references):
             raise HybridError(f"one reference or more of {n} joints is needed")
         clock, signals = self._simulate(references)
         children = np.random.default_rng(seed).spawn(len(references))
-        return [
-            self._record(k, reference, clock, signals, child)
-            for k, (reference, child) in enumerate(
-                zip(references, children, strict=True)
-            )
-        ]
+        for k, (reference, child) in enumerate(zip(references, children, strict=True)):
+            t = clock[: 1 + _samples(reference, self.log_rate)].copy()
+            log = {name: x[: len(t), k].copy() for name, x in signals.items()}
+            source = f"simulated {self.robot.name}, trajectory {k + 1}"
+            log, joints = self._measured(t, log, child), self.robot.joints
+            q, tau, v, command = (log[x] for x in ("q", "tau", "v", "command"))
+            made = Recording(t, q, tau, v, command, joints=joints, source=source)
+            recordings.append(made)
+        return recordings
 
     def _simulate(
         self, references: Sequence[Reference]
     ) -> tuple[Array, dict[str, Array]]:
         """Clock (N,) and the true signals, shape (N, B, n), of the longest run."""
-        servo, every = self._servo, round(self.control_rate / self.log_rate)
+        servo, every = self.servo, round(self.control_rate / self.log_rate)
+        assert servo is not None  # a plant has made it
         substeps = round(1.0 / (self.step * self.control_rate))
         before = round(_SETTLE * self.control_rate)
         samples = 1 + max(_samples(r, self.log_rate) for r in references)
@@ -136,7 +121,7 @@ class Plant:
             np.stack([self._commanded(t, x) for x in signal], axis=1)
             for signal in zip(*plans, strict=True)
         )
-        kp, kd = self._gains()
+        kp, kd = self._gains(servo)
         effects = [*self.effects, *curves(self.robot)]
         state = Lockstep(self.arm, effects, q_ref[0], time=t[0])
         weight, lead = self._alignment(substeps)
@@ -169,9 +154,9 @@ class Plant:
                     signal[:, j] = np.interp(t - late, t, signal[:, j])
         return signal
 
-    def _gains(self) -> tuple[Array, Array]:
+    def _gains(self, servo: Servo) -> tuple[Array, Array]:
         """True stiffness and damping of the servo, shape (n,)."""
-        kp, kd = self._servo.kp.copy(), self._servo.kd.copy()
+        kp, kd = servo.kp.copy(), servo.kd.copy()
         for effect in self.effects:
             j, changed = list(effect.joints), effect.actuator
             kp[j] *= changed.get("stiffness", 1.0)
@@ -191,32 +176,17 @@ class Plant:
             return 0.5, 0.0
         return (substeps - 1) / (2 * substeps), self.step / 2
 
-    def _record(
-        self,
-        k: int,
-        reference: Reference,
-        clock: Array,
-        signals: dict[str, Array],
-        rng: np.random.Generator,
-    ) -> Recording:
-        samples = 1 + _samples(reference, self.log_rate)
-        t = clock[:samples]
-        log = {name: x[:samples, k].copy() for name, x in signals.items()}
+    def _measured(
+        self, t: Array, log: dict[str, Array], rng: np.random.Generator
+    ) -> dict[str, Array]:
+        """What is logged of the true signals of a trajectory, shape (N, n) each."""
+        assert self.noise is not None  # a plant has made it
         for effect in self.effects:
             # An effect that changes the delivered torque leaves the logged one as it
             # is: its `report`, which a fit uses, must not be applied again.
             if overrides(effect, "measure") or not drives(effect):
                 log = effect.measure(t, log)
-        log = self._noise.apply(log, rate=self.log_rate, rng=rng)
-        return Recording(
-            t=t.copy(),
-            q=log["q"],
-            tau=log["tau"],
-            v=log["v"],
-            command=log["command"],
-            joints=self.robot.joints,
-            source=f"simulated {self.robot.name}, trajectory {k + 1}",
-        )
+        return self.noise.apply(log, rate=self.log_rate, rng=rng)
 
     def _warn_of_saturation(self, share: Array) -> None:
         for name, part in zip(self.robot.joints, share, strict=True):

@@ -119,12 +119,8 @@ def random_fourier(
     q -= (q.max(axis=0) + q.min(axis=0)) / 2
     low, high, v_max, a_max = limits(robot)
     room = fill * (high - low) / 2
-    ratios = (
-        room / np.abs(q).max(axis=0),
-        fill * v_max / np.abs(v).max(axis=0),
-        fill * a_max / np.abs(a).max(axis=0),
-    )
-    scale = np.minimum.reduce(ratios)
+    pairs = (q, room), (v, fill * v_max), (a, fill * a_max)
+    scale = np.min([most / np.abs(x).max(axis=0) for x, most in pairs], axis=0)
     q, v, a = q * scale, v * scale, a * scale
     spare = room - np.abs(q).max(axis=0)
     center = (low + high) / 2 + spare * rng.uniform(-1.0, 1.0, robot.size)
@@ -157,10 +153,9 @@ def _coefficients(
 
 
 def _check(*, duration: float, rate: float, order: int, fill: float) -> None:
-    if not (np.isfinite(duration) and duration > 0):
-        raise HybridError(f"duration is {duration:g} s, above 0 is valid")
-    if not (np.isfinite(rate) and rate > 0):
-        raise HybridError(f"rate is {rate:g} Hz, above 0 is valid")
+    for name, x, unit in (("duration", duration, "s"), ("rate", rate, "Hz")):
+        if not (np.isfinite(x) and x > 0):
+            raise HybridError(f"{name} is {x:g} {unit}, above 0 is valid")
     if order < 3:
         raise HybridError(f"order is {order}, 3 harmonics or more are valid")
     if not 0 < fill <= 1:

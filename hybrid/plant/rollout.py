@@ -19,18 +19,11 @@ _DIVERGED = 100.0  # rad/s; a faster trajectory has diverged
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """B windows of motions to replay.
+    """B windows of motions to replay; a short motion repeats its last sample."""
 
-    Attributes:
-        motion: Index of the motion of each window, shape (B,).
-        sample: First sample of each window in its motion, shape (B,).
-        samples: Number of samples S after the first; the last sample of a motion is
-            repeated if the motion is shorter.
-    """
-
-    motion: Index
-    sample: Index
-    samples: int
+    motion: Index  # index of the motion of each window, (B,)
+    sample: Index  # first sample of each window in its motion, (B,)
+    samples: int  # number of samples S after the first
 
     def of(self, signals: Sequence[Array], factor: int = 1) -> Array:
         """Signals in the windows, shape (factor·S + 1, B, ...).
@@ -131,9 +124,7 @@ class _FreeTrajectories(Lockstep):
             for e in self._laws.resisting
         ]
 
-    def _read(self) -> None:
-        self.q, self.v = self._of_motors(self._gather(self._motion))
-        # The comparison is written so that NaN fails it too.
+    def _check_speed(self) -> None:
         self.diverged |= ~(np.abs(self.v).max(axis=1) < _DIVERGED)
         for k in np.flatnonzero(self.diverged):
             # It continues from rest, and its result is not used.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from hybrid.arrays import Array
@@ -113,8 +114,6 @@ def _fastest_decay(arm: Arm, kd: Array) -> float:
 
 def _masses(arm: Arm, postures: int) -> Array:
     """Mass matrices of all degrees of freedom, shape (P, m, m), [kg·m²]."""
-    import mujoco
-
     model: Any = arm.model
     data = mujoco.MjData(model)
     full = np.zeros((postures, model.nv, model.nv))

@@ -111,16 +111,16 @@ class GpuRollout:
         def of_each(name: str) -> Array:
             return np.array([attrgetter(name)(x) for x in models.values()])[which]
 
-        fields = {name: of_each(name) for name in _FIELDS}
         motors = [of_each(name) for name in _MOTORS]
         dead = np.array([x.drive["dead_band"] for x in every])
         states = np.array([x.state for x in every])
         state = tuple(np.split(states, [1, 1 + n, 1 + 2 * n], axis=1)[1:])
         arm, moved = (self._model, self._data), []
         with jax.enable_x64(True):
+            fields = {name: of_each(name) for name in _FIELDS}
             own = jax.device_put((fields, motors, dead))
             for goals in np.split(control, control.shape[1] // _STEPS, axis=1):
-                state, part = _loop()(*arm, *own, goals, state)
+                state, part = _loop()(*arm, own, goals, state)
                 moved.append(part)
             found = [np.asarray(x[: len(runs)]) for x in moved]
         return np.concatenate(found, axis=1)[:, :steps]
@@ -137,17 +137,9 @@ def _loop() -> Any:
     import jax
     from mujoco import mjx
 
-    def replay(
-        base: Any,
-        data: Any,
-        own: Mapping[str, Any],
-        motor: Sequence[Any],
-        dead: Any,
-        control: Any,
-        start: tuple[Any, Any, Any],
-    ) -> Any:
-        model = base.tree_replace(own)
-        laws = _laws(motor, dead, own["opt.timestep"])
+    def replay(base: Any, data: Any, own: Any, control: Any, start: Any) -> Any:
+        fields, motor, dead = own
+        model, laws = base.tree_replace(fields), _laws(motor, dead, fields)
 
         def step(state: tuple[Any, Any, Any], goal: Any) -> tuple[Any, Any]:
             q, v, z = state
@@ -158,15 +150,14 @@ def _loop() -> Any:
 
         return jax.lax.scan(step, start, control)
 
-    each = (None, None, 0, 0, 0, 0, 0)
-    return jax.jit(jax.vmap(replay, in_axes=each))
+    return jax.jit(jax.vmap(replay, in_axes=(None, None, 0, 0, 0)))
 
 
-def _laws(motor: Sequence[Any], dead: Any, h: Any) -> Any:
+def _laws(motor: Sequence[Any], dead: Any, fields: Mapping[str, Any]) -> Any:
     """Torque of servos and their friction, and bristles after a step."""
     from jax import numpy as jnp
 
-    gain, bias, dyn = motor
+    (gain, bias, dyn), h = motor, fields["opt.timestep"]
     resistance, constant, stiffness = gain[:, 0], gain[:, 1], gain[:, 4]
     damping, most = gain[:, 6], gain[:, 7]
     coulomb, breakaway, slow = bias[:, 3], bias[:, 4], bias[:, 5]

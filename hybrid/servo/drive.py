@@ -41,41 +41,28 @@ _PRESLIDING = 1e-3  # rad: usual bend of the bristles before a joint slides
 _FREE = 100.0  # rad: stops of a joint whose file has none
 _UNLIMITED = 1e4  # of the rated torque: that of a servo whose file has no limit
 _LITTLE = 1e-4  # of the stall torque: stands for zero, which has no logarithm
+# Columns of friction in a robot, after the joint.
+_FALL = "stiction", "stribeck_speed"
+_BRISTLE = "coulomb", *_FALL, "presliding"
 
 
 @dataclass(frozen=True)
 class DriveQuantity:
-    """One parameter of a servo, and its prior.
-
-    Attributes:
-        name: Standard term.
-        unit: SI unit.
-        effect: Effect of the library that is reported if the file has a wrong value.
-        spread: Prior standard deviation: of the logarithm for a positive number, else
-            in multiples of ``per``.
-        per: ``torque`` for multiples of the stall torque; else plain SI.
-        positive: Whether the value is above zero. Then its logarithm is fitted.
-        least: Smallest value. A presliding below it is unstable in a replay.
-        shared: Whether it changes the motion of other joints as much as of its own.
-        base: Whether it is one number of the arm, which stands at its first joint.
-        unsaid: Whether MJCF cannot express it.
-        alone: Whether it is probed at one joint at a time, since it may be unstable at
-            another.
-        probe: Step of finite differences, over that of a fit. Impacts need a long one.
-    """
+    """One parameter of a servo, and its prior."""
 
     name: str
-    unit: str
-    effect: str
+    unit: str  # SI
+    effect: str  # of the library, that is reported if the file has a wrong value
+    # Prior standard deviation: of the logarithm if it is positive, else times ``per``.
     spread: float
-    per: str = ""
-    positive: bool = False
-    least: float = -np.inf
-    shared: bool = False
-    base: bool = False
-    unsaid: bool = False
-    alone: bool = False
-    probe: float = 0.05
+    per: str = ""  # "torque": the stall torque; else plain SI
+    positive: bool = False  # whether it is above zero; then its logarithm is fitted
+    least: float = -np.inf  # a presliding below it is unstable in a replay
+    shared: bool = False  # whether it moves other joints as much as its own
+    base: bool = False  # whether it is one number of the arm, at the first joint
+    unsaid: bool = False  # whether MJCF cannot express it
+    alone: bool = False  # whether it is probed joint by joint: some may be unstable
+    probe: float = 0.05  # finite difference over a fit's step; impacts need a long one
 
     def interval(self, value: float, std: float) -> tuple[float, float]:
         """The 95 % interval of a value with the standard deviation of a fit."""
@@ -159,6 +146,12 @@ class Drive:
         return np.asarray(self["play"] > 0)
 
     @property
+    def layout(self) -> bytes:
+        """The values that need a compiled model of their own."""
+        tilt = self["roll"][0], self["pitch"][0]
+        return bytes(np.r_[self["zero"], self["sign"], self.plays, tilt])
+
+    @property
     def unlimited(self) -> Mask:
         """Whether the torque of each servo has no limit, shape (n,)."""
         return np.asarray(self["stall"] > 0.5 * _UNLIMITED * self.stall)
@@ -188,38 +181,29 @@ class Drive:
     @classmethod
     def declared(cls, robot: Robot) -> Drive:
         """The servos of a robot file, with usual values where it states none."""
-        n = robot.size
         stall = rated_torque(robot)
-        gain = np.where(np.isfinite(robot.kp), robot.kp, stall / 0.1)
-        servo = np.where(np.isfinite(robot.kd), robot.kd, 0.0)
         little = _LITTLE * stall
-        known = {
-            "stiffness": gain,
-            "damping": np.maximum(servo + robot.damping, little),
-            "coulomb": np.maximum(robot.frictionloss, little),
-            "stribeck_speed": np.full(n, 0.05),
-            "presliding": np.full(n, _PRESLIDING),
-            "armature": np.maximum(robot.chain.armature, 1e-4 * stall),
-            "stall": np.where(np.isfinite(robot.tau_max), stall, _UNLIMITED * stall),
-            "lower": np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),
-            "upper": np.where(np.isfinite(robot.q_max), robot.q_max, _FREE),
-            "mass": np.ones(n),
-            "ground": -_reach(robot),
-            "sign": np.ones(n),
-            "quadratic": np.nan_to_num(robot.quadratic),
-            "stiction": np.zeros(n),
-            "delay": robot.latency,
-        }
-        for j, level, speed in robot.falling:
-            known["stiction"][int(j)], known["stribeck_speed"][int(j)] = level, speed
-        for j, coulomb, *shape in robot.bristle:
-            known["coulomb"][int(j)] = max(coulomb, little[int(j)])
-            for name, x in zip(
-                ("stiction", "stribeck_speed", "presliding"), shape, strict=True
-            ):
-                known[name][int(j)] = x
-        values = [known.get(name, np.zeros(n)) for name in NAMES]
-        return cls(np.array(values), stall)
+        drive = cls(np.zeros((len(NAMES), robot.size)), stall).at(
+            stiffness=np.where(np.isfinite(robot.kp), robot.kp, stall / 0.1),
+            damping=np.maximum(np.nan_to_num(robot.kd) + robot.damping, little),
+            coulomb=robot.frictionloss,
+            stribeck_speed=0.05,
+            presliding=_PRESLIDING,
+            armature=np.maximum(robot.chain.armature, little),
+            stall=np.where(np.isfinite(robot.tau_max), stall, _UNLIMITED * stall),
+            delay=robot.latency,
+            quadratic=np.nan_to_num(robot.quadratic),
+            lower=np.where(np.isfinite(robot.q_min), robot.q_min, -_FREE),
+            upper=np.where(np.isfinite(robot.q_max), robot.q_max, _FREE),
+            mass=1.0,
+            ground=-_reach(robot),
+            sign=1.0,
+        )
+        for names, rows in ((_FALL, robot.falling), (_BRISTLE, robot.bristle)):
+            for j, *numbers in rows:
+                for name, x in zip(names, numbers, strict=True):
+                    drive[name][int(j)] = x
+        return drive.at(coulomb=np.maximum(drive["coulomb"], little))
 
 
 def known_masses(robot: Robot, known: Mapping[str, float]) -> Array:

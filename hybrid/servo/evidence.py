@@ -1,7 +1,6 @@
-"""Explanations of logs, and their evidence.
+"""The evidence of an explanation: of parameters that differ from those of the file.
 
-An explanation is a set of parameters that differ from those of the file. Its evidence
-is the Laplace approximation
+It is the Laplace approximation
 
     log p = −J(x̂) − ½ log |1 + S H S| − c · (number of parameters)
 
@@ -13,8 +12,7 @@ integrated out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,42 +27,15 @@ _SOFT = np.isin(NAMES, (*PLAIN, "zero"))[:, None]  # no file states them exactly
 
 
 @dataclass(frozen=True, eq=False)
-class Explanation:
-    """Servos of which some parameters differ from the file.
-
-    Attributes:
-        found: Their parameters and replay errors.
-        causes: Which parameters differ, shape (len(QUANTITIES), n).
-        equals: For a cause (quantity, joint), quantities that fit as well in its place.
-        losses: Evidence lost when one cause goes back to the file, [nats]; empty until
-            it is computed.
-    """
-
-    found: Estimate
-    causes: Mask
-    equals: Mapping[tuple[int, int], tuple[int, ...]] = field(default_factory=dict)
-    losses: Mapping[tuple[int, int], float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
 class Curvature:
-    """Second-order expansion of the posterior over P parameters.
+    """Second-order expansion of the posterior over P parameters."""
 
-    Attributes:
-        places: Quantity and joint of each, shape (P, 2).
-        slopes: Derivative of the replay errors by each, shape (P, M, n).
-        matrix: Second derivatives, shape (P, P).
-        gradient: First derivatives, shape (P,).
-        weight: Weight of every error, shape (M, n), [1/rad²].
-        spread: Prior deviations, shape (P,).
-    """
-
-    places: NDArray[np.int_]
-    slopes: Array
-    matrix: Array
-    gradient: Array
-    weight: Array
-    spread: Array
+    places: NDArray[np.int_]  # quantity and joint of each, (P, 2)
+    slopes: Array  # derivative of the replay errors by each, (P, M, n)
+    matrix: Array  # second derivatives, (P, P)
+    gradient: Array  # first derivatives, (P,)
+    weight: Array  # of every error, (M, n), [1/rad²]
+    spread: Array  # prior deviations, (P,)
 
     @classmethod
     def of(cls, problem: Problem, found: Estimate, noise: Noise) -> Curvature:
@@ -89,10 +60,10 @@ class Curvature:
         return float(0.5 * np.linalg.slogdet(scaled)[1])
 
 
-def evidence(problem: Problem, what: Explanation, noise: Noise) -> Array:
+def evidence(problem: Problem, found: Estimate, noise: Noise) -> Array:
     """Log evidence of each joint, up to a constant, shape (n,), [nats]."""
-    about = Curvature.of(problem, what.found, noise)
-    out = -problem.cost(what.found, noise) - COST * what.causes.sum(axis=0)
+    about = Curvature.of(problem, found, noise)
+    out = -problem.cost(found, noise) - COST * found.causes.sum(axis=0)
     for j in range(len(out)):
         own = about.places[:, 1] == j
         if own.any():

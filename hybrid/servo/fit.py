@@ -18,10 +18,9 @@ from hybrid.progress import Progress, silent
 from hybrid.recording import Recording
 from hybrid.robot import Robot
 from hybrid.servo.drive import NAMES, PLAIN, QUANTITIES, Drive, known_masses
-from hybrid.servo.evidence import Explanation
 from hybrid.servo.model import heights
 from hybrid.servo.noise import resolution
-from hybrid.servo.problem import SHARED, Problem
+from hybrid.servo.problem import SHARED, Estimate, Problem
 from hybrid.servo.search import Search
 from hybrid.servo.servo_fit import ServoFinding, ServoFit
 from hybrid.servo.simulator import ServoSimulator, converged, missed
@@ -74,8 +73,7 @@ def fit_servo(
     prior = Drive.declared(robot).at(mass=known_masses(robot, known))
     struck = [*without, *((NAMES.index("mass"), robot.joints.index(x)) for x in known)]
     whole = stretches_of(logs)
-    sent = np.concatenate([x.sent for x in whole])
-    asked = np.stack([sent.min(axis=0), sent.max(axis=0)])
+    asked = _ends(np.concatenate([x.sent for x in whole]))
     learn, unseen = _split(whole)
     problem, start = _problem(simulator, learn, prior)
     allowed = np.tile(~problem.resting, (len(NAMES), 1))
@@ -99,16 +97,15 @@ def _result(
     known: Mapping[str, float],
     search: Search,
     problem: Problem,
-    best: Explanation,
+    best: Estimate,
     unseen: Sequence[Stretch],
     asked: Array,
 ) -> ServoFit:
     """Fit the result to all parts of the logs, and replay the held-out motion."""
     plain, found, written = (
-        problem.fitted(problem.at(x.found.x, x.found.free), None, _LAST)
+        problem.fitted(replace(x, errors=problem.errors([x.x])[0]), None, _LAST)
         for x in (search.plain, best, _written(search, best))
     )
-    best = replace(best, found=found)
     simulator, std = problem.simulator, np.zeros_like(problem.prior.values)
     covariance = problem.covariance(found, search.noise)
     std[found.free] = np.sqrt(np.diagonal(covariance))
@@ -123,7 +120,7 @@ def _result(
         written=drives[2],
         plain_drive=drives[0],
         std=std,
-        findings=_findings(robot, problem, best, std, unseen),
+        findings=_findings(robot, problem, found, std, unseen),
         before=before,
         plain=between,
         after=after,
@@ -151,8 +148,7 @@ def _problem(
     start = best_start(simulator, parts, guess, prior)
     start = replace(start, values=np.where(resting, prior.values, start.values))
     simulator = converged(simulator, parts, start, floor)
-    ends = [(x.q.min(axis=0), x.q.max(axis=0)) for x in logs]
-    reached = np.array([np.min(ends, axis=(0, 1)), np.max(ends, axis=(0, 1))])
+    reached = _ends(np.concatenate([x.q for x in logs]))
     touched = np.full(robot.size, np.nan)
     if robot.chain.gravity.any():
         low, asked = (
@@ -164,12 +160,16 @@ def _problem(
     return problem, start.coordinates
 
 
-def _written(search: Search, best: Explanation) -> Explanation:
+def _ends(x: Array) -> Array:
+    return np.stack([x.min(axis=0), x.max(axis=0)])
+
+
+def _written(search: Search, best: Estimate) -> Estimate:
     """The most probable servos that MJCF can express."""
     unsaid = np.array([x.unsaid for x in QUANTITIES])[:, None]
     if not (best.causes & unsaid).any():
         return best
-    x = np.where(unsaid, search.problem.prior.coordinates, best.found.x)
+    x = np.where(unsaid, search.problem.prior.coordinates, best.x)
     return search.of(x, best.causes & ~unsaid, _LAST)
 
 
@@ -186,12 +186,12 @@ def _split(logs: list[Stretch]) -> tuple[list[Stretch], list[Stretch]]:
 def _findings(
     robot: Robot,
     problem: Problem,
-    best: Explanation,
+    best: Estimate,
     std: Array,
     unseen: Sequence[Stretch],
 ) -> tuple[ServoFinding, ...]:
     """Causes for which the file is wrong, ordered by their worth on held-out motion."""
-    x, prior, findings = best.found.x, problem.prior, []
+    x, prior, findings = best.x, problem.prior, []
     places = np.argwhere(best.causes).tolist()
     alone = [x.copy() for _ in places]
     for (k, j), each in zip(places, alone, strict=True):
@@ -247,12 +247,12 @@ def _clips(robot: Robot, drive: Drive, asked: Array) -> list[str]:
     """Control ranges that the written file has no longer."""
     if not Path(robot.path).is_file():
         return []
-    lost = clipped(robot, drive, asked)
+    lost = np.flatnonzero(clipped(robot, drive, asked)).tolist()
     return [
-        f"the file's ctrlrange clips commands of {joint}, which go from {low:.3g} to "
-        f"{high:.3g} rad in the logs: the written file has no ctrlrange there"
-        for joint, low, high in zip(robot.joints, *asked, strict=True)
-        if joint in lost
+        f"the file's ctrlrange clips commands of {robot.joints[j]}, which go from "
+        f"{asked[0, j]:.3g} to {asked[1, j]:.3g} rad in the logs: the written file has "
+        "no ctrlrange there"
+        for j in lost
     ]
 
 

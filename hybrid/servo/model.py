@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid.arrays import Array, Index, Mask
 from hybrid.dynamics.kinematics import frames
@@ -12,9 +14,6 @@ from hybrid.effects.backlash import Backlash, set_play
 from hybrid.robot import Robot
 from hybrid.servo.drive import Drive, centres
 from hybrid.servo.stretch import Stretch
-
-if TYPE_CHECKING:
-    import mujoco
 
 # N·m/A and Ω: the constant is so small that speed does not reduce the stall torque.
 _CONSTANT, _RESISTANCE = 1e-3, 1.0
@@ -34,8 +33,6 @@ def servo_spec(robot: Robot, drive: Drive) -> mujoco.MjSpec:
     It has the zeros, signs and tilt of a drive. Behind a motor with play is another
     joint, see :class:`hybrid.effects.backlash.Backlash`.
     """
-    import mujoco
-
     spec = robot.mujoco_spec()
     drive.tilt.edit_spec(spec, robot.joints)
     for j, joint in enumerate(robot.joints):
@@ -79,8 +76,6 @@ def declared_spec(robot: Robot) -> mujoco.MjSpec:
 
 
 def _actuator(spec: Any, joint: str) -> Any:
-    import mujoco
-
     kind = mujoco.mjtTrn.mjTRN_JOINT
     return spec.add_actuator(name=joint, trntype=kind, target=joint)
 
@@ -92,9 +87,6 @@ def lay_ground(spec: mujoco.MjSpec, robot: Robot) -> None:
     the plane when the link touches the real ground: see :func:`install`. An arm without
     gravity gets none.
     """
-    import mujoco
-    from scipy.spatial.transform import Rotation
-
     if not robot.chain.gravity.any():
         return
     up, kind = _up(robot), mujoco.mjtGeom
@@ -146,8 +138,6 @@ def install(model: Any, robot: Robot, drive: Drive, data: Any) -> None:
     if model.ngeom:
         model.geom_size[1:, 0] = model.geom_rbound[1:] = balls
     if (drive["mass"] != 1.0).any():
-        import mujoco
-
         model.body_mass[1:] *= drive["mass"]
         model.body_inertia[1:] *= drive["mass"][:, None]
         mujoco.mj_setConst(model, data)

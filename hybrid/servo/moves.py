@@ -12,7 +12,7 @@ import numpy as np
 from hybrid.arrays import Array, Mask
 from hybrid.servo.drive import NAMES, QUANTITIES
 from hybrid.servo.evidence import COST, Curvature
-from hybrid.servo.problem import SHARED, Estimate, Problem, one_by_one
+from hybrid.servo.problem import SHARED, Estimate, Place, Problem, one_by_one
 
 _ALONE = SHARED | np.array([x.alone for x in QUANTITIES])
 _LARGEST = 1.5  # largest extrapolation, in changes of a probe
@@ -23,19 +23,12 @@ _DEEPER = (0.0, 0.01, 0.02)  # m: links are no balls and touch higher or lower
 
 @dataclass(frozen=True)
 class Move:
-    """A parameter that may be wrong, and what its linear fit promises.
+    """A parameter that may be wrong, and what its linear fit promises."""
 
-    Attributes:
-        k: Index of the quantity.
-        j: Index of the joint.
-        gain: Evidence gained by the linear fit, [nats].
-        x: Coordinates at the linear fit, shape (len(QUANTITIES), n).
-    """
-
-    k: int
-    j: int
-    gain: float
-    x: Array
+    k: int  # index of the quantity
+    j: int  # index of the joint
+    gain: float  # evidence gained by the linear fit, [nats]
+    x: Array  # coordinates at the linear fit, (len(QUANTITIES), n)
 
 
 def probed(
@@ -64,7 +57,7 @@ def promising(
     errors: Sequence[Array],
 ) -> list[Move]:
     """Parameters with a positive gain, each once, the best first."""
-    best: dict[tuple[int, int], Move] = {}
+    best: dict[Place, Move] = {}
     for change, after in zip(changes, errors, strict=True):
         for k, j in np.argwhere(change).tolist():
             move = _move(problem, found, about, after, (k, j, float(change[k, j])))

@@ -29,15 +29,10 @@ _ROUNDS = 5  # of clipping
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Weights of replay errors at each joint.
+    """Weights of replay errors at each joint."""
 
-    Attributes:
-        weight: Of a squared error, shape (n,), [1/rad²].
-        far: Scale of the Cauchy loss, shape (n,), [rad]: larger errors weigh less.
-    """
-
-    weight: Array
-    far: Array
+    weight: Array  # of a squared error, (n,), [1/rad²]
+    far: Array  # scale of the Cauchy loss, (n,), [rad]: larger errors weigh less
 
     @classmethod
     def of(cls, errors: Sequence[Array], floor: Array, inexact: Array) -> Noise:

@@ -18,7 +18,7 @@ Source: Bell and McCaffrey 2002, Survey Methodology 28, 169 (leverage).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -39,20 +39,21 @@ _KEPT = 64 * 2**20  # bytes of replays in the cache
 _PROBE = np.array([q.probe for q in QUANTITIES])[:, None]
 SHARED = np.array([q.shared for q in QUANTITIES])
 
+Place = tuple[int, int]  # quantity and joint
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Servo parameters and their replay errors.
+    """Servos of which some parameters differ from the file: an explanation of logs."""
 
-    Attributes:
-        x: Coordinates, shape (len(QUANTITIES), n).
-        free: Which of them are fitted, P of them.
-        errors: Replay errors over all stretches, shape (M, n), [rad].
-    """
-
-    x: Array
-    free: Mask
-    errors: Array
+    x: Array  # coordinates, (len(QUANTITIES), n)
+    free: Mask  # which of them are fitted, P of them
+    errors: Array  # replay errors over all stretches, (M, n), [rad]
+    causes: Mask  # which parameters differ from the file, (len(QUANTITIES), n)
+    # For a cause (quantity, joint), quantities that fit as well in its place.
+    equals: Mapping[Place, tuple[int, ...]] = field(default_factory=dict)
+    # Evidence lost when one cause goes back to the file, [nats], once it is computed.
+    losses: Mapping[Place, float] = field(default_factory=dict)
 
     @cached_property
     def usual(self) -> Array:
@@ -62,23 +63,15 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Logs to fit, and the prior.
-
-    Attributes:
-        simulator: Replays.
-        stretches: Logs.
-        prior: Servos of the robot file.
-        resting: Joints that no log moves, shape (n,).
-        reached: Least and largest position in any log, shape (2, n), [rad].
-        touched: Lowest height of each centre of mass in any log, NaN if no command
-            went lower, shape (n,), [m].
-    """
+    """Logs to fit, and the prior."""
 
     simulator: ServoSimulator
-    stretches: Sequence[Stretch]
-    prior: Drive
-    resting: Mask
-    reached: Array
+    stretches: Sequence[Stretch]  # logs
+    prior: Drive  # servos of the robot file
+    resting: Mask  # joints that no log moves, (n,)
+    reached: Array  # least and largest position in any log, (2, n), [rad]
+    # Lowest height of each centre of mass in any log, NaN if no command went lower,
+    # (n,), [m].
     touched: Array | float = np.nan
     _known: dict[bytes, Array] = field(default_factory=dict)
 
@@ -118,8 +111,8 @@ class Problem:
         return out
 
     def at(self, x: Array, free: Mask) -> Estimate:
-        """An estimate at given coordinates."""
-        return Estimate(x, free, self.errors([x])[0])
+        """An estimate at given coordinates, of which all that are free differ."""
+        return Estimate(x, free, self.errors([x])[0], free)
 
     def off(self, x: Array, free: Mask) -> Array:
         """Negative log prior of each joint, up to a constant, shape (n,)."""

@@ -17,10 +17,10 @@ import numpy as np
 from hybrid.arrays import Array, Mask
 from hybrid.progress import Progress, silent
 from hybrid.servo.drive import NAMES
-from hybrid.servo.evidence import COST, Curvature, Explanation, evidence
+from hybrid.servo.evidence import COST, Curvature, evidence
 from hybrid.servo.moves import Move, probed, promising
 from hybrid.servo.noise import Noise
-from hybrid.servo.problem import SHARED, Estimate, Problem
+from hybrid.servo.problem import SHARED, Estimate, Place, Problem
 
 # No file states these shapes of friction: they are always fitted, and never a cause.
 _SHAPES = np.isin(NAMES, ("stribeck_speed", "presliding"))[:, None]
@@ -32,8 +32,6 @@ _CLEAR = 0.2  # of the best gain: a smaller one may come from another joint, and
 _CLOSE = 3.0  # nats: two explanations are about equally good (odds of 20)
 _TOLD = 1.0  # nats: a negligible difference (Jeffreys)
 _NEAR = 1  # rounds from the file before it is compared with the plain fit
-
-Place = tuple[int, int]
 
 
 class Search:
@@ -52,18 +50,18 @@ class Search:
         progress: Progress = silent,
     ) -> None:
         self.problem, self.aside, self.progress = problem, aside, progress
-        self.plain = Explanation(plain, plain.free)
-        self.met: list[Explanation] = []
+        self.plain = plain
+        self.met: list[Estimate] = []
         self.noise = problem.noise(plain.errors)
         self.shapes = _SHAPES & allowed
         self.allowed = ~_SHAPES & allowed
 
-    def best(self) -> Explanation:
+    def best(self) -> Estimate:
         """Search from the better of the file and the plain fit at each joint."""
         near, plain = self.grown(self.file(), _NEAR), self.plain
         self.met = [plain]
-        tried = [near, self.of(plain.found.x, plain.causes)]
-        usual = np.minimum(near.found.usual, plain.found.usual)
+        tried = [near, self.of(plain.x, plain.causes)]
+        usual = np.minimum(near.usual, plain.usual)
         noise = self.noise.reaching(usual)
         gain = self.gain(plain, tried, noise)
         which = np.where((gain > 0).any(axis=0), gain.argmax(axis=0), -1)
@@ -71,22 +69,20 @@ class Search:
         grown = self.grown(replace(start, equals=near.equals))
         return self.pruned(grown)
 
-    def file(self) -> Explanation:
+    def file(self) -> Estimate:
         """The explanation without causes: only the shapes of friction are fitted."""
         x = self.problem.prior.coordinates
         return self.of(x, np.zeros_like(self.shapes), _TURNS)
 
-    def of(self, x: Array, causes: Mask, turns: int = 2) -> Explanation:
+    def of(self, x: Array, causes: Mask, turns: int = 2) -> Estimate:
         """Fit an explanation with given causes, starting at given coordinates."""
         free = self.shapes | causes
         free[_SIGN] = False
         start = self.problem.at(x, free)
         noise = self.noise.reaching(start.usual)
-        return Explanation(self.problem.fitted(start, noise, turns), causes)
+        return replace(self.problem.fitted(start, noise, turns), causes=causes)
 
-    def gain(
-        self, now: Explanation, tried: Sequence[Explanation], noise: Noise
-    ) -> Array:
+    def gain(self, now: Estimate, tried: Sequence[Estimate], noise: Noise) -> Array:
         """Evidence that trials add at each joint, shape (trials, n), [nats].
 
         A trial that makes the parts set aside less probable has that loss as its gain.
@@ -95,13 +91,13 @@ class Search:
         gain = np.array([evidence(self.problem, x, noise) - before for x in tried])
         if self.aside is None:
             return gain
-        points = [x.found.x for x in (*self.met, *tried)]
+        points = [x.x for x in (*self.met, *tried)]
         costs = np.array([noise.cost(x) for x in self.aside.errors(points)])
         known = len(self.met)
         harm = costs[known:] - costs[:known].min(axis=0)
         return np.asarray(np.where(harm > _TOLD, np.minimum(gain, -harm), gain))
 
-    def grown(self, start: Explanation, rounds: int = _ROUNDS) -> Explanation:
+    def grown(self, start: Estimate, rounds: int = _ROUNDS) -> Estimate:
         """Add causes until the evidence no longer grows."""
         now = start
         self.met.append(now)
@@ -115,15 +111,15 @@ class Search:
             self.met.append(now)
         return now
 
-    def _wider(self, now: Explanation) -> Explanation | None:
+    def _wider(self, now: Estimate) -> Estimate | None:
         """Add one cause at every joint that gains by it; None if none does."""
         trials = self._trials(now)
         if not trials:
             return None
-        noise = self.noise.reaching(now.found.usual)
+        noise = self.noise.reaching(now.usual)
         tried = []
         for trial in trials:
-            x, causes = now.found.x.copy(), now.causes.copy()
+            x, causes = now.x.copy(), now.causes.copy()
             for move in trial:
                 seen = slice(None) if SHARED[move.k] else move.j
                 x[:, seen], causes[move.k, move.j] = move.x[:, seen], True
@@ -140,15 +136,15 @@ class Search:
         after = self._mixed(now, tried, which, noise)
         return after and replace(after, equals=self._equals(now, tried, which, noise))
 
-    def _trials(self, now: Explanation) -> list[list[Move]]:
+    def _trials(self, now: Estimate) -> list[list[Move]]:
         """Parameters to try: one that moves all joints, then one of every joint."""
-        problem, found, hint = self.problem, now.found, self.plain.found.x
+        problem, hint = self.problem, self.plain.x
         open_ = self.allowed & ~now.causes
-        changes, errors = probed(problem, found.x, open_, hint)
-        for each in (found.errors, *errors):
+        changes, errors = probed(problem, now.x, open_, hint)
+        for each in (now.errors, *errors):
             self.noise = self.noise.least(problem.noise(each))
-        about = Curvature.of(problem, found, self.noise.reaching(found.usual))
-        moves = promising(problem, found, about, changes, errors)
+        about = Curvature.of(problem, now, self.noise.reaching(now.usual))
+        moves = promising(problem, now, about, changes, errors)
         own: dict[int, list[Move]] = {}
         for move in moves:
             if not SHARED[move.k]:
@@ -159,11 +155,11 @@ class Search:
         return [x for x in trials if x]
 
     def _equals(
-        self, now: Explanation, tried: list[Explanation], which: Array, noise: Noise
+        self, now: Estimate, tried: list[Estimate], which: Array, noise: Noise
     ) -> dict[Place, tuple[int, ...]]:
         """Quantities that fit as well as the ones that are added."""
         out = dict(now.equals)
-        costs = [self.problem.cost(x.found, noise) for x in tried]
+        costs = [self.problem.cost(x, noise) for x in tried]
         new = [(x.causes & ~now.causes) & ~SHARED[:, None] for x in tried]
         for j, i in enumerate(which.tolist()):
             for k in np.flatnonzero(new[i][:, j]).tolist() if i >= 0 else ():
@@ -176,21 +172,17 @@ class Search:
         return out
 
     def _mixed(
-        self,
-        now: Explanation,
-        tried: Sequence[Explanation],
-        which: Array,
-        noise: Noise,
-    ) -> Explanation | None:
+        self, now: Estimate, tried: Sequence[Estimate], which: Array, noise: Noise
+    ) -> Estimate | None:
         """Combine trials: each joint as in one of them or unchanged (−1).
 
         Joints that do not gain by the combination stay unchanged.
         """
         while (which >= 0).any():
-            x, causes = now.found.x.copy(), now.causes.copy()
+            x, causes = now.x.copy(), now.causes.copy()
             for j, k in enumerate(which.tolist()):
                 if k >= 0:
-                    x[:, j] = tried[k].found.x[:, j]
+                    x[:, j] = tried[k].x[:, j]
                     causes[:, j] = tried[k].causes[:, j]
             mixed = self.of(x, causes)
             (gain,) = self.gain(now, [mixed], noise)
@@ -201,18 +193,18 @@ class Search:
             which = np.where((gain > 0) & (gain > least), which, -1)
         return None
 
-    def pruned(self, what: Explanation) -> Explanation:
+    def pruned(self, what: Estimate) -> Estimate:
         """Remove causes as long as the evidence grows by that."""
         now, kept = what, dict[Place, float]()
         while True:
             self.progress(f"servos: {int(now.causes.sum())} causes, fewer", None)
-            noise = self.noise.reaching(now.found.usual)
+            noise = self.noise.reaching(now.usual)
             losses, tried = self._without_one(now, noise)
             losses |= kept
             weakest = self._weakest(losses, kept)
             if not weakest:
                 return replace(now, losses=losses)
-            x, causes = now.found.x.copy(), now.causes.copy()
+            x, causes = now.x.copy(), now.causes.copy()
             for at in weakest:
                 seen = slice(None) if SHARED[at[0]] else at[1]
                 x[:, seen], causes[at] = tried[at][:, seen], False
@@ -242,34 +234,34 @@ class Search:
         return list(out.values())
 
     def _without_one(
-        self, now: Explanation, noise: Noise
+        self, now: Estimate, noise: Noise
     ) -> tuple[dict[Place, float], dict[Place, Array]]:
         """Loss and coordinates when one cause i goes back to the file's value f_i.
 
         The others adapt linearly: x' = x − C_i (x_i − f_i)/C_ii with covariance C.
         """
-        problem, found = self.problem, now.found
-        places = [tuple(p) for p in np.argwhere(found.free).tolist()]
+        problem, free = self.problem, now.free
+        places = [tuple(p) for p in np.argwhere(free).tolist()]
         prior, spread = problem.prior.coordinates, problem.prior.spread
-        matrix, _ = problem.normal(found, problem.slopes(found), noise)
+        matrix, _ = problem.normal(now, problem.slopes(now), noise)
         covariance = np.linalg.inv(matrix)
         points, widths = {}, {}
         for k, j in np.argwhere(now.causes).tolist():
-            x, widths[k, j] = found.x.copy(), 0.0
-            if found.free[k, j]:
+            x, widths[k, j] = now.x.copy(), 0.0
+            if free[k, j]:
                 i = places.index((k, j))
                 own = covariance[i] / covariance[i, i]
-                most = 2 * problem.step[found.free]
-                x[found.free] += np.clip(own * (prior[k, j] - x[k, j]), -most, most)
+                most = 2 * problem.step[free]
+                x[free] += np.clip(own * (prior[k, j] - x[k, j]), -most, most)
                 widths[k, j] = 0.5 * np.log(spread[k, j] ** 2 / covariance[i, i])
             x[k, j] = prior[k, j]
             points[k, j] = problem.prior.moved(x).coordinates
-        before, losses = problem.cost(found, noise).sum(), {}
+        before, losses = problem.cost(now, noise).sum(), {}
         replays = problem.errors(list(points.values()))
         for at, errors in zip(points, replays, strict=True):
-            free = found.free.copy()
-            free[at] = False
-            back = replace(found, x=points[at], free=free, errors=errors)
+            others = free.copy()
+            others[at] = False
+            back = replace(now, x=points[at], free=others, errors=errors)
             after = problem.cost(back, noise).sum()
             losses[at] = float(after - before - widths[at] - COST)
         return losses, points

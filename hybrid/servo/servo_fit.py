@@ -13,6 +13,7 @@ from hybrid.robot import Robot
 from hybrid.servo.drive import QUANTITIES, Drive
 from hybrid.servo.simulator import ServoSimulator
 from hybrid.servo.stretch import Stretch, stretches_of
+from hybrid.servo.write import write_servos
 from hybrid.shown import Shown
 
 _UNKNOWN = 4.0  # times the resolution of the encoder: a larger error has a cause
@@ -170,8 +171,6 @@ class ServoFit(Shown):
         Raises:
             HybridError: The path does not end in ``.xml`` or ``.mjcf``.
         """
-        from hybrid.servo.write import write_servos
-
         if Path(path).suffix.lower() not in (".xml", ".mjcf"):
             raise HybridError(f"{path}: an arm with servos is saved as .xml")
         write_servos(self.robot, self.written, path, self.asked)

@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
+from mujoco import rollout
 
 from hybrid.arrays import Array
 from hybrid.robot import Robot
 from hybrid.robot.mujoco_model import mujoco_warnings
-from hybrid.servo.drive import NAMES, Drive
+from hybrid.servo.drive import Drive
 from hybrid.servo.model import (
     bristles,
     declared_spec,
@@ -73,8 +75,8 @@ class ServoSimulator:
 
     def with_step(self, step: float) -> ServoSimulator:
         """A copy with another longest step, [s]."""
-        other = ServoSimulator(self.robot, step)
-        other.roll = self.roll
+        other = copy.copy(self)
+        other._longest = step
         return other
 
     def replay(
@@ -117,40 +119,28 @@ class ServoSimulator:
 
     def _model(self, drive: Drive | None, step: float) -> tuple[Any, Any]:
         """A model of the servo, and data that models with its joints share."""
-        key = step, _turned(drive)
+        key = step, drive.layout if drive else b""
         if key not in self._models:
             if len(self._models) > _MODELS:
                 self._models.clear()
-            self._models[key] = self._compiled(drive, step)
-        compiled, data = self._models[key]
-        model = copy.copy(compiled)
+            if drive is None:
+                spec = declared_spec(self.robot)
+            else:
+                spec = servo_spec(self.robot, drive)
+                lay_ground(spec, self.robot)
+            compiled = spec.compile()
+            compiled.opt.timestep = step
+            self._models[key] = compiled, mujoco.MjData(compiled)
+        model, data = self._models[key]
         if drive is not None:
+            model = copy.copy(model)
             install(model, self.robot, drive, data)
         return model, data
 
-    def _compiled(self, drive: Drive | None, step: float) -> tuple[Any, Any]:
-        import mujoco
-
-        if drive is None:
-            spec = declared_spec(self.robot)
-        else:
-            spec = servo_spec(self.robot, drive)
-            lay_ground(spec, self.robot)
-        model = spec.compile()
-        model.opt.timestep = step
-        return model, mujoco.MjData(model)
-
     def _state(
-        self,
-        model: Any,
-        data: Any,
-        drive: Drive | None,
-        stretch: Stretch,
-        first: Array,
+        self, model: Any, data: Any, drive: Drive | None, stretch: Stretch, goal: Array
     ) -> Array:
         """Time, positions, speeds, and bends of the bristles if there are any."""
-        import mujoco
-
         own, behind = places(plays := (drive or self._declared).plays)
         q, v, bent = np.zeros(model.nq), np.zeros(model.nv), np.zeros(0)
         q[own], v[own] = stretch.q[0], stretch.v
@@ -159,27 +149,15 @@ class ServoSimulator:
             mujoco.mj_forward(model, data)
             # By gravity and speed, less springs.
             down = (data.qfrc_bias - data.qfrc_spring)[own]
-            bent = bristles(drive, stretch, first, down)
+            bent = bristles(drive, stretch, goal, down)
             # The weight of the link presses it against one side of the gap.
             q[behind] = -np.sign(down[plays]) * drive["play"][plays]
             q[own[plays]] -= q[behind]
         return np.concatenate([np.zeros(1), q, v, bent])
 
 
-def _turned(drive: Drive | None) -> bytes:
-    """The parameters that need another compiled model."""
-    if drive is None:
-        return b""
-    tilt = drive["roll"][0], drive["pitch"][0]
-    turned = np.r_[drive["zero"], drive["sign"], drive["play"] > 0, tilt]
-    return bytes(turned.tobytes())
-
-
 def rolled(runs: Sequence[Run]) -> Array:
     """Replay on all cores: positions after each step, (batch, steps, n), [rad]."""
-    import mujoco
-    from mujoco import rollout
-
     steps, n = max(len(x.control) for x in runs), runs[0].control.shape[1]
     out = np.empty((len(runs), steps, n))
     kinds: dict[tuple[bool, bytes], list[int]] = {}
@@ -209,12 +187,9 @@ def _stepped(runs: Sequence[Run], data: list[Any], control: Array) -> Array:
     have dry friction that grows with the load. The models have the same joints, and
     each thread has its data. Goals and positions have the shape (batch, steps, n).
     """
-    from mujoco import rollout
-
-    drives, state = [x.drive for x in runs], np.array([x.state for x in runs])
-    dead = np.array([x["dead_band"] for x in drives])
-    levels = _FrictionLevels(runs)
-    after, plays = np.empty((len(runs), 1, state.shape[1])), drives[0].plays
+    state, levels = np.array([x.state for x in runs]), _FrictionLevels(runs)
+    after, plays = np.empty((len(runs), 1, state.shape[1])), runs[0].drive.plays
+    dead = levels.drives["dead_band"]
     own, behind = (1 + x for x in places(plays))
     out, gap = np.empty_like(control), np.zeros_like(dead)
     with rollout.Rollout(nthread=len(data)) as roll:
@@ -234,21 +209,20 @@ def _stepped(runs: Sequence[Run], data: list[Any], control: Array) -> Array:
 
 
 class _FrictionLevels:
-    """Dry friction of some replays, which may change at each step."""
+    """Dry friction of some replays, which may change at each step.
+
+    All servos are one drive, with values of the shape (len(QUANTITIES), batch, n).
+    """
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        drives = [x.drive for x in runs]
-        self._of = {name: np.array([x[name] for x in drives]) for name in NAMES}
-        self._bristle = self._of["coulomb"] / self._of["presliding"]
-        # Replays share models, but not these.
-        self._moving = {
-            k: copy.copy(x.model)
-            for k, x in enumerate(runs)
-            if x.drive["load_friction"].any()
-        }
-        self.models = [self._moving.get(k, x.model) for k, x in enumerate(runs)]
-        first, n = self.models[0], len(drives[0].stall)
-        own, _ = places(drives[0].plays)
+        one = runs[0].drive
+        self.drives = Drive(np.stack([x.drive.values for x in runs], axis=1), one.stall)
+        self._bristle = self.drives.bristle
+        self._moving = np.flatnonzero(self.drives["load_friction"].any(axis=1)).tolist()
+        self.models = [x.model for x in runs]
+        for k in self._moving:  # replays share models, but not these
+            self.models[k] = copy.copy(self.models[k])
+        first, n, (own, _) = self.models[0], len(one.stall), places(one.plays)
         self._of_servo = np.array([m.actuator_gainprm[:, 6] for m in self.models])
         self._of_joint = np.array([m.dof_damping[own] for m in self.models])
         self._speed = 1 + first.nq + own
@@ -261,23 +235,20 @@ class _FrictionLevels:
         """
         if not self._moving:
             return
-        own, v = self._of, state[:, self._speed]
+        own, v = self.drives, state[:, self._speed]
         friction = self._bristle * state[:, self._bent]
         torque = own["stiffness"] * off - self._of_servo * v
         torque = np.clip(torque, -own["stall"], own["stall"]) - self._of_joint * v
         level = own["coulomb"] + own["load_friction"] * np.abs(torque - friction)
         self._bristle = level / own["presliding"]
         both = np.stack([level, level + own["stiction"]], axis=2)
-        for model, k in zip(self._moving.values(), self._moving, strict=True):
-            model.actuator_biasprm[:, 3:5] = both[k]
-            model.actuator_dynprm[:, 5] = self._bristle[k]
+        for k in self._moving:
+            self.models[k].actuator_biasprm[:, 3:5] = both[k]
+            self.models[k].actuator_dynprm[:, 5] = self._bristle[k]
 
 
 def converged(
-    simulator: ServoSimulator,
-    stretches: Sequence[Stretch],
-    drive: Drive,
-    floor: Array,
+    simulator: ServoSimulator, stretches: Sequence[Stretch], drive: Drive, floor: Array
 ) -> ServoSimulator:
     """A simulator with the longest step at which replays have converged.
 

@@ -28,11 +28,8 @@ _LOADED = 0.1  # of the largest change of weight: below, stiffness is unknown
 _LEAST = 1e-3  # rad, s or s², times stiffness: least friction, damping, rotor
 
 
-def first_guess(
-    robot: Robot, stretches: Sequence[Stretch], prior: Drive | None = None
-) -> Drive:
+def first_guess(robot: Robot, stretches: Sequence[Stretch], declared: Drive) -> Drive:
     """Guess the servos from which a fit by replay starts."""
-    declared = prior or Drive.declared(robot)
     inertial = robot.chain.inertial * declared["mass"][:, None]
     parts = [_signals(robot, inertial, x) for x in stretches]
     q, v, a, weight = (np.concatenate([p[k] for p in parts]) for k in range(4))
@@ -46,52 +43,41 @@ def first_guess(
             slope[j] = found[j][0]
     # Joints that carry no weight get the stiffness of those that do.
     told = slope[slope > 0]
-    usual = (
-        1.0 / np.median(told) if len(told) else float(np.median(declared["stiffness"]))
-    )
-    stiffness = np.full(robot.size, usual)
-    theta = np.array(found).T * stiffness
-    friction = np.maximum(theta[2], _LEAST * stiffness)
+    usual = 1.0 / np.median(told) if len(told) else np.median(declared["stiffness"])
+    theta, least = np.array(found).T * usual, _LEAST * usual
     return declared.at(
-        stiffness=stiffness,
-        damping=np.maximum(theta[1], _LEAST * stiffness),
-        coulomb=friction,
-        armature=np.maximum(theta[3], _LEAST * stiffness),
+        stiffness=usual,
+        damping=np.maximum(theta[1], least),
+        coulomb=np.maximum(theta[2], least),
+        armature=np.maximum(theta[3], least),
         offset=-theta[4],
     )
 
 
 def best_start(
-    simulator: ServoSimulator,
-    stretches: Sequence[Stretch],
-    guess: Drive,
-    declared: Drive,
+    simulator: ServoSimulator, stretches: Sequence[Stretch], guess: Drive, file: Drive
 ) -> Drive:
     """Choose for each joint the servo and the delay that replay best.
 
     Candidates are the guess and the file. In slow motion a delay d looks like damping
     k·d, which is taken off the guessed damping.
     """
-    least = _LEAST * guess["stiffness"]
-    tried = [declared]
+    stiffness, tried = guess["stiffness"], [file]
     for delay in _DELAYS:
-        tried.append(declared.at(delay=delay))
-        damping = np.maximum(guess["damping"] - guess["stiffness"] * delay, least)
-        for times in _STIFFER:
-            own = {"stiffness": guess["stiffness"] * times, "damping": damping}
-            tried.append(guess.at(delay=delay, **own))
+        tried.append(file.at(delay=delay))
+        rest = np.maximum(guess["damping"] - stiffness * delay, _LEAST * stiffness)
+        late = guess.at(delay=delay, damping=rest)
+        tried += [late.at(stiffness=stiffness * times) for times in _STIFFER]
     best = missed(simulator, stretches, tried).argmin(axis=0)
     values = [tried[k].values[:, j] for j, k in enumerate(best.tolist())]
     return Drive(np.stack(values, axis=1), guess.stall)
 
 
-def _signals(
-    robot: Robot, inertial: Array, stretch: Stretch
-) -> tuple[Array, Array, Array, Array]:
+def _signals(robot: Robot, inertial: Array, stretch: Stretch) -> Sequence[Array]:
     """Position, speed, acceleration and weight of a stretch, (N, n) each."""
     rate = 1.0 / stretch.step
     q = butterworth(stretch.q, rate=rate, cutoff=min(_BAND, 0.4 * rate))
     v = central_difference(q, rate=rate)
-    a = central_difference(v, rate=rate)
     rest = np.zeros_like(q)
-    return q, v, a, inverse_dynamics(robot.chain, inertial, q, rest, rest)
+    weight = inverse_dynamics(robot.chain, inertial, q, rest, rest)
+    return q, v, central_difference(v, rate=rate), weight

@@ -160,16 +160,15 @@ def chosen(stretches: Sequence[Stretch], seconds: float, each: float) -> list[St
     """
     parts: list[tuple[int, float, Stretch]] = []
     scale = np.array([x.command.std(axis=0) for x in stretches]).max(axis=0) + 1e-9
+
+    def rest(part: Stretch) -> float:
+        work = np.abs(np.diff(part.command, axis=0)).sum(axis=0) / scale
+        return -float(np.sqrt(work).sum())
+
     for stretch in stretches:
         samples = round(each / stretch.step)
-        own = []
-        ends = max(1, len(stretch.q) - samples // 2)  # of a short log, all
-        for first in range(0, ends, samples):
-            part = stretch.cut(first, samples)
-            work = np.abs(np.diff(part.command, axis=0)).sum(axis=0) / scale
-            own.append((float(np.sqrt(work).sum()), part))
-        own.sort(key=lambda pair: -pair[0])
-        parts += [(rank, -work, part) for rank, (work, part) in enumerate(own)]
+        starts = range(0, max(1, len(stretch.q) - samples // 2), samples)
+        own = sorted((stretch.cut(first, samples) for first in starts), key=rest)
+        parts += [(rank, rest(part), part) for rank, part in enumerate(own)]
     parts.sort(key=lambda triple: triple[:2])
-    count = max(1, round(seconds / each))
-    return [part for _, _, part in parts[:count]]
+    return [part for _, _, part in parts[: max(1, round(seconds / each))]]

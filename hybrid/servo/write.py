@@ -80,23 +80,15 @@ def _document(robot: Robot) -> Document:
     return Document.load(robot.path) if own else _skeleton(robot)
 
 
-def clipped(robot: Robot, drive: Drive, asked: Array) -> tuple[str, ...]:
-    """Joints whose actuators in the file clip commands of the logs, (2, n) [rad]."""
-    clips = _clips(model_of(_document(robot), robot), robot, drive)
-    within = _within(clips, asked)
-    return tuple(x for x, holds in zip(robot.joints, within, strict=True) if not holds)
+def clipped(robot: Robot, drive: Drive, asked: Array) -> Mask:
+    """Whether actuators of the file clip commands of the logs, (2, n) [rad]; (n,)."""
+    return _control(model_of(_document(robot), robot), robot, drive, asked)[1]
 
 
-def _within(clips: Array, asked: Array | None) -> Mask:
-    """Whether no command of the logs is clipped, shape (n,)."""
-    if asked is None:
-        return np.ones(len(clips), dtype=bool)
-    low, high = clips.T
-    return np.asarray((low <= asked[0] + _CLOSE) & (asked[1] - _CLOSE <= high))
-
-
-def _clips(model: Any, robot: Robot, drive: Drive) -> Array:
-    """Positions of the log to which servos of the file clip commands, (n, 2), [rad]."""
+def _control(
+    model: Any, robot: Robot, drive: Drive, asked: Array | None
+) -> tuple[Array, Mask]:
+    """Control ranges as positions of the log, (n, 2), [rad], and whether they clip."""
     ends = np.tile([[-np.inf], [np.inf]], robot.size)
     names = joint_names(model)
     for a, joint, gear in motors_of(model):
@@ -109,7 +101,10 @@ def _clips(model: Any, robot: Robot, drive: Drive) -> Array:
         if limited and names[joint] in robot.joints:
             j = robot.joints.index(names[joint])
             ends[:, j] = np.sort(model.actuator_ctrlrange[a] / gear)
-    return in_log(drive, ends)
+    ranges = in_log(drive, ends)
+    least, most = np.full((2, robot.size), np.nan) if asked is None else asked
+    clips = (least < ranges[:, 0] - _CLOSE) | (most > ranges[:, 1] + _CLOSE)
+    return ranges, np.asarray(clips)
 
 
 def _skeleton(robot: Robot) -> Document:
@@ -130,8 +125,8 @@ def _set_servos(
     stiffness, relaxed = springs(robot, drive)
     parameters, joint_damping = motors(robot, drive), dampings(robot, drive)[1]
     limits, declared = stops(drive), stops(Drive.declared(robot))
-    clips = _clips(model, robot, drive)
-    holds = _within(clips, asked) & np.isfinite(clips).all(axis=1)
+    control, clips = _control(model, robot, drive, asked)
+    holds = np.isfinite(control).all(axis=1) & ~clips
     curves = np.stack([drive["quadratic"], robot.cubic], axis=1).tolist()
     for j, name in enumerate(robot.joints):
         joint = joint_tag(document, name)
@@ -154,7 +149,7 @@ def _set_servos(
         document.set(joint, given)
         motor = _MOTOR | {name: x[j].tolist() for name, x in parameters.items()}
         if holds[j]:
-            motor |= {"ctrllimited": "true", "ctrlrange": clips[j]}
+            motor |= {"ctrllimited": "true", "ctrlrange": control[j]}
         if (delay := float(drive["delay"][j])) > 0:
             samples = math.ceil(delay / step) + 1
             motor |= {"delay": delay, "nsample": samples, "interp": "linear"}
