@@ -1,5 +1,6 @@
 """Linear algebra on one thread: its matrices are too small to be worth sharing."""
 
+import os
 from collections.abc import Callable
 from functools import wraps
 from typing import ParamSpec, TypeVar
@@ -22,3 +23,10 @@ def one_thread(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return limited
+
+
+def cores() -> int:
+    """Number of cores that this process may use; macOS tells only those there are."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,5 +1,6 @@
 """Small parts by themselves: laws of one joint, limits, scaling, geometry, searches."""
 
+import os
 import re
 from dataclasses import replace
 
@@ -32,6 +33,7 @@ from hybrid.plant.reference import limits
 from hybrid.regression.data import Residual
 from hybrid.regression.least_squares import _bounded_solve
 from hybrid.robot.geometry import Capsules
+from hybrid.threads import cores
 
 # --- the arm as its file says ---------------------------------------------------------
 
@@ -295,3 +297,13 @@ def test_the_share_of_time_at_a_limit_does_not_depend_on_the_number_of_motions(t
     assert said[0] == said[1]
     (share,) = re.findall(r"for (\d+)%", " ".join(said[0]))
     assert 5 < int(share) <= 100
+
+
+def test_the_cores_of_a_process_are_counted_where_only_those_of_a_machine_are_known(
+    monkeypatch,
+):
+    assert 1 <= cores() <= os.cpu_count()
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    assert cores() == os.cpu_count()
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert cores() == 1

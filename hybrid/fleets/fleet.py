@@ -1,6 +1,5 @@
 """The verb ``fleet``: which arms change, when and in which parameter, and outliers."""
 
-import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from hybrid.fleets.series import Series, State
 from hybrid.fleets.store import Store, run_plan, write_rows
 from hybrid.fleets.worker import FINDING, OK, VERDICT
 from hybrid.progress import Progress, silent
+from hybrid.threads import cores
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def fleet(
     """
     plan = plan if isinstance(plan, Plan) else read_plan(plan)
     out = Path(out)
-    with connected(scheduler, workers or os.cpu_count() or 1) as client:
+    with connected(scheduler, workers or cores()) as client:
         store = Store(out / "units")
         rows = run_plan(plan, store, client, progress or silent)
     write_rows(out / "fleet.parquet", rows)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +25,7 @@ from hybrid.servo.model import (
 )
 from hybrid.servo.noise import INEXACT
 from hybrid.servo.stretch import Stretch
+from hybrid.threads import cores
 
 _HALVINGS = 4  # of the step, at most
 _MODELS = 64  # compiled models in the cache
@@ -169,7 +169,7 @@ def rolled(runs: Sequence[Run]) -> Array:
             ends = [x.control[-1:].repeat(steps - len(x.control), 0) for x in some]
             pairs = zip(some, ends, strict=True)
             control = np.array([np.r_[x.control, y] for x, y in pairs])
-            threads = min(len(os.sched_getaffinity(0)), len(some))
+            threads = min(cores(), len(some))
             data = [mujoco.MjData(some[0].model) for _ in range(threads)]
             if stepped:
                 out[own] = _stepped(some, data, control)
