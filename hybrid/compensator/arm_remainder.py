@@ -73,9 +73,7 @@ class ArmRemainder:
         mean, variance = [0.0] * self.size, [np.nan] * self.size
         for part in self.parts:
             seen = [*(q[j] for j in part.positions), *(v[j] for j in part.speeds)]
-            (mean[part.joint],), (variance[part.joint],) = part.regression.at_instant(
-                seen
-            )
+            mean[part.joint], variance[part.joint] = part.regression.at_instant(seen)
         return mean, variance
 
     def as_dict(self) -> list[dict[str, object]]:

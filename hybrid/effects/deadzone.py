@@ -48,7 +48,8 @@ class Deadzone(Effect):
         (j,) = self.joints
         total = bool(self.values["total"])
         torque = _signals(motion, j)[-1] if total else _delivered(motion, j)
-        return np.nan_to_num(self._direction(torque))[:, None, None]
+        direction = np.clip(torque / self.values["onset"], -1.0, 1.0)
+        return np.nan_to_num(direction)[:, None, None]
 
     def holds(self, motions: Sequence[Motion]) -> bool:
         """Whether torque is outside the zone mostly, or nothing comes through.
@@ -100,9 +101,6 @@ class Deadzone(Effect):
         """Commanded torque for a delivered one: the inverse of ``deliver``."""
         (needed,), width = torque, self.values["width"]
         return [needed + np.clip(needed / _INVERSE_SLOPE, -width, width)], ()
-
-    def _direction(self, torque: Array) -> Array:
-        return np.clip(torque / self.values["onset"], -1.0, 1.0)
 
 
 def _signals(motion: Motion, j: int) -> tuple[Array, Array, Array, Array]:

@@ -252,8 +252,6 @@ def _check_joints(remainder: ArmRemainder) -> None:
                 raise ModelFileError(
                     f"the remainder uses joint {j} of {remainder.size}"
                 )
-        if part.regression.outputs != 1:
-            raise ModelFileError("a joint's remainder has more than one torque")
 
 
 def _real(x: Any) -> float:
