@@ -274,7 +274,7 @@ def test_held_out_motion_chooses_few_components_for_a_linear_remainder():
 
 
 def test_held_out_motion_chooses_many_components_for_a_curved_remainder():
-    model = fit_gmr(*sample(0), validation=sample(1))
+    model = fit_gmr(*sample(0, n=4000), validation=sample(1, n=4000))
     assert model.components >= 8
 
 
