@@ -14,12 +14,7 @@ def moving(v: Array) -> Mask:
 
 
 def delivered_torque(
-    v: Array,
-    a: Array,
-    tau: Array,
-    asked: Array,
-    use: Mask,
-    *lost: Array,
+    v: Array, a: Array, tau: Array, asked: Array, use: Mask, *lost: Array
 ) -> Array:
     """The file's torque plus friction and rotor that the file may lack, shape (N,).
 

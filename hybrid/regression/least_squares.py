@@ -200,8 +200,8 @@ def residual_covariance(
     freedom = np.maximum(1.0, counts - products.problem.size / n)
     sigma = products.residual_products(theta) / freedom
     # A difference of cross-products is uncertain by their rounding errors.
-    torque = np.array(products.problem.offsets[1:]) - 1
-    power = np.diag(products.total)[torque] / np.diag(freedom)
+    torque = np.diag(products.total)[products.problem.torque_rows]
+    power = torque / np.diag(freedom)
     floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
     own = np.diag(np.clip(np.diag(sigma), 0.0, None) + floor)
     if not full:
