@@ -111,9 +111,8 @@ class ArmRemainder:
         parts = []
         for k, item in enumerate(content):
             prefix = f"remainder.{k}."
-            own = {
-                x[len(prefix) :]: a for x, a in arrays.items() if x.startswith(prefix)
-            }
+            named = (x for x in arrays if x.startswith(prefix))
+            own = {x.removeprefix(prefix): arrays[x] for x in named}
             try:
                 kind, valid = str(item["kind"]), GaussianMixtureRegression.kind
                 if kind != valid:

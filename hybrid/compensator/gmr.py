@@ -234,9 +234,9 @@ class GaussianMixtureRegression:
         return Conditional(
             whitening=whitening,
             centre=np.einsum("kij,kj->ki", whitening, self.means[:, :d]),
-            gain=factor[:, d, :d],
+            gain=np.asarray(factor[:, d, :d], float),
             output_mean=self.means[:, d],
-            output_variance=factor[:, d, d] ** 2,
+            output_variance=np.asarray(factor[:, d, d] ** 2, float),
             log_weight=np.log(self.weights) - log_volume,
         )
 

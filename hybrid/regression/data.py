@@ -177,35 +177,6 @@ class Data:
         moves = np.abs(motion.v) > self.standing
         return np.asarray(moves & motion.mask[:, None])
 
-    def decimated(self, residual: Sequence[Array]) -> Residual:
-        """A residual as in :meth:`squares`, filtered, decimated and concatenated."""
-        parts = []
-        for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
-            sampler = self.sampler(motion.rate)
-            few = slice(None, None, sampler.factor)
-            moves = self.moves(motion)[few]
-            parts.append((motion.q[few], motion.v[few], sampler(tau), moves, fold[few]))
-        return Residual(*(np.concatenate(x) for x in zip(*parts, strict=True)))
-
-
-@dataclass(frozen=True)
-class Residual:
-    """Filtered residual torque of a model at M decimated samples of all motions.
-
-    Attributes:
-        q: Positions, shape (M, n), [rad].
-        v: Speeds, shape (M, n), [rad/s].
-        tau: Residual torque, shape (M, n), [N·m].
-        moving: True where a joint moves and is not masked, shape (M, n).
-        fold: Fold of each sample, shape (M,).
-    """
-
-    q: Array
-    v: Array
-    tau: Array
-    moving: Mask
-    fold: Index
-
 
 def check_torque(motions: Sequence[Motion]) -> None:
     """Refuse motions without torque.
