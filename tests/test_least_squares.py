@@ -112,7 +112,7 @@ def test_weighted_least_squares_weighs_by_the_variance_of_each_joint(six_axes):
 def test_iterated_least_squares_is_generalised_least_squares_at_its_own_noise(six_axes):
     logs = six_axes.logs(six_axes.white(2, covariance_of(6, 0.8)))
     found = solve(six_axes.products(logs), "irls")
-    assert found.converged and found.iterations > 1
+    assert found.converged
     expected = six_axes.generalised(logs, found.weight)
     np.testing.assert_allclose(found.theta, expected, rtol=0, atol=1e-8)
     residual = six_axes.residual(logs, expected)

@@ -44,7 +44,7 @@ from hybrid.signals import Sampler
 def test_an_interval_is_that_of_students_distribution(level, inside):
     theta, covariance = np.array([1.0, -2.0]), np.diag([4.0, 0.25])
     made = Estimate(
-        theta, np.eye(1), np.ones(3), 1, True, None, None,
+        theta, np.eye(1), np.ones(3), True, None, None,
         covariance, np.eye(1), 7, (),
     )  # fmt: skip
     calibrated = object.__new__(KinematicSolution)
