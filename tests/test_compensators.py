@@ -57,7 +57,7 @@ def torque(x):
     return 0.5 * np.tanh(3 * x[:, -1:]) * (1.0 + 0.3 * x[:, -2:-1] ** 2)
 
 
-def samples(kind, count=2500, seed=0):
+def samples(kind, count=1600, seed=0):
     rng = np.random.default_rng(seed)
     width = 2 * HISTORY if kind == "convolution" else 2
     x = rng.uniform(-1, 1, (count, width))

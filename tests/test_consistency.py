@@ -243,7 +243,7 @@ def test_clean_data_of_a_physical_arm_give_its_base_parameters_back(name):
         assert is_consistent(found.inertial).all()
 
 
-@settings(max_examples=15)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 10_000), noise=st.sampled_from([0.0, 0.2]))
 def test_any_chain_gets_links_that_could_be_built(seed, noise):
     robot = random_arm(seed)

@@ -17,7 +17,7 @@ from test_effect_laws import effect, motion_of
 from hybrid.dynamics import RigidBody
 from hybrid.effects import JointState, Scale, effect_class, effect_classes
 from hybrid.effects.backlash import _flight, _link_position
-from hybrid.effects.delivered import delivered_torque
+from hybrid.effects.delivered import Drive
 from hybrid.effects.elasticity import _swing
 from hybrid.effects.gravity_tilt import level_axes
 from hybrid.errors import EffectError
@@ -168,11 +168,11 @@ def test_what_is_delivered_has_the_friction_that_a_file_lacks():
         (clipped, np.abs(asked) < 12, ()),
         (through, np.abs(asked) > 4, (np.sign(asked),)),
     ):
-        found = delivered_torque(v, a, delivered - lacks, asked, use, *lost)
+        found = Drive(v, a, delivered - lacks, asked).delivered(use, *lost)
         np.testing.assert_allclose(found, delivered, atol=1e-9)
     few = np.arange(2000) < 99
     np.testing.assert_array_equal(
-        delivered_torque(v, a, clipped - lacks, asked, few), clipped - lacks
+        Drive(v, a, clipped - lacks, asked).delivered(few), clipped - lacks
     )
 
 

@@ -160,7 +160,7 @@ def test_the_fitted_curve_is_continuous_at_its_threshold(knee):
         assert low == pytest.approx(high, rel=1e-6)
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(st.integers(0, 1000), st.floats(-3.0, 3.0), st.floats(-1.0, 1.0))
 def test_friction_never_drives_whatever_the_torque_was(seed, level, slope):
     """Even where the torque asks for it: coefficients stay at or above zero."""

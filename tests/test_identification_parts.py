@@ -40,7 +40,7 @@ from hybrid.identification.ripple import _best_orders, _ripple, in_band
 from hybrid.identification.solver import Solver
 from hybrid.recording import Recording
 from hybrid.regression.cross_products import accumulate
-from hybrid.regression.data import Data, Residual
+from hybrid.regression.data import Data
 from hybrid.regression.problem import build_problem
 from hybrid.signals import motion_from_recording
 
@@ -153,21 +153,16 @@ def test_the_cut_off_of_motions_without_a_log_is_none():
 # --- remainder ------------------------------------------------------------------------
 
 
-def residual_of(y, q):
-    fold = np.arange(len(y)) * 4 // len(y)
-    moving = np.ones((len(y), 1), dtype=bool)
-    return Residual(q[:, None], 0 * q[:, None], y[:, None], moving, fold)
-
-
 def test_inputs_are_of_use_where_they_lower_squares_by_a_hundredth():
     rng, own = np.random.default_rng(0), ((0,), ())
-    q, noise = rng.uniform(-2, 2, 4000), rng.standard_normal(4000)
-    assert _best_inputs(residual_of(noise, q), 0, [own]) is None
+    q, noise = rng.uniform(-2, 2, (4000, 1)), rng.standard_normal(4000)
+    fold = np.arange(4000) * 4 // 4000
+    assert _best_inputs((q, 0 * q, noise, fold), [own]) is None
     for gain, of_use in ((0.05, False), (0.5, True)):
-        y = noise + gain * np.sin(2 * q)
-        share = 1 - _ridge_error(q[:, None], y, np.arange(4000) * 4 // 4000) / (y @ y)
+        y = noise + gain * np.sin(2 * q[:, 0])
+        share = 1 - _ridge_error(q, y, fold) / (y @ y)
         assert (share > 0.01) == of_use
-        found = _best_inputs(residual_of(y, q), 0, [own])
+        found = _best_inputs((q, 0 * q, y, fold), [own])
         assert found == (own if of_use else None)
 
 

@@ -28,9 +28,15 @@ def logs():
     return robot, simulate(plant, trajectories=3, duration=6.0, seed=1)
 
 
-def test_it_is_the_public_function(logs):
+@pytest.fixture(scope="module")
+def own(logs):
     robot, recordings = logs
-    own = Identifier(robot, estimator="ls", stages=("rigid",)).fit(recordings[:2])
+    given = Identifier(robot, estimator="ls", stages=("rigid",))
+    return given.fit(recordings[:2])
+
+
+def test_it_is_the_public_function(logs, own):
+    robot, recordings = logs
     fit = identify(robot, recordings[:2], estimator="ls", stages=("rigid",))
     (tau,) = own.predict(recordings[2:])
     np.testing.assert_allclose(tau, predict(fit.model, recordings[2]))
@@ -41,11 +47,9 @@ def cut(x, rows):
     return replace(x, t=x.t[rows], **{n: c[rows] for n, c in x.channels.items()})
 
 
-def test_its_score_is_that_of_scikit_learn_whatever_the_log_is_like(logs):
+def test_its_score_is_that_of_scikit_learn_whatever_the_log_is_like(logs, own):
     """It once passed over a bias, and took columns and rows for those of the robot."""
-    robot, recordings = logs
-    own = Identifier(robot, stages=("rigid",)).fit(recordings[:2])
-    x = recordings[2]
+    robot, (*_, x) = logs
     wrong = replace(x, tau=x.tau + [4.0, 1.0])
     expected = r2_score(wrong.tau, own.predict(wrong)[0])
     assert own.score(wrong) == pytest.approx(expected) and expected < 0.9
@@ -62,10 +66,9 @@ def test_its_score_is_that_of_scikit_learn_whatever_the_log_is_like(logs):
         own.score([replace(x, tau=None)])
 
 
-def test_what_is_predicted_has_the_rows_of_the_log(logs):
-    robot, recordings = logs
-    model = identify(robot, recordings[:2], stages=("rigid",)).model
-    x, whole = recordings[2], predict(model, recordings[2])
+def test_what_is_predicted_has_the_rows_of_the_log(logs, own):
+    model, (*_, x) = own.fit_.model, logs[1]
+    whole = predict(model, x)
     for lost in (range(1000, 1001), range(1000, 1040), range(2, 1500, 3)):
         rows = np.delete(np.arange(len(x.t)), lost)
         found, _ = quiet(predict, model, cut(x, rows))

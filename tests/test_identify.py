@@ -11,7 +11,6 @@ from hybrid.diagnosis.diagnose import diagnose
 from hybrid.effects import JointState, effect_class
 from hybrid.errors import (
     HybridError,
-    HybridWarning,
     IdentificationError,
     RecordingError,
 )
@@ -127,7 +126,7 @@ def linear():
     robot = arm("coman_like")
     fits = []
     for seed in range(2):
-        logs = simulate(robot, trajectories=3, duration=8, seed=seed)
+        logs = simulate(robot, trajectories=3, duration=6, seed=seed)
         fits.append(quiet(identify, robot, logs, stages=("rigid",))[0])
     base = fits[0].model.base
     declared = {
@@ -181,11 +180,15 @@ def logs():
     return simulate(arm("planar"), trajectories=4, duration=6, seed=0)
 
 
-def test_equal_data_give_equal_models(logs):
-    stages = ("rigid", "friction")
-    first, second = (
-        quiet(identify, arm("planar"), logs, stages=stages)[0] for _ in "ab"
-    )
+@pytest.fixture(scope="module")
+def two_stages(logs):
+    """A fit, and what it warned of."""
+    return quiet(identify, arm("planar"), logs, stages=("rigid", "friction"))
+
+
+def test_equal_data_give_equal_models(logs, two_stages):
+    first = two_stages[0]
+    second, _ = quiet(identify, arm("planar"), logs, stages=("rigid", "friction"))
     np.testing.assert_array_equal(first.estimate.theta, second.estimate.theta)
     assert first.model.effects == second.model.effects
 
@@ -222,8 +225,8 @@ def test_a_stage_that_was_not_asked_for_does_not_run(logs):
     assert fit.model.stage == "rigid" and fit.model.remainder is None
 
 
-def test_prediction_is_the_sum_of_rigid_body_and_effects(logs):
-    fit, _ = quiet(identify, arm("planar"), logs, stages=("rigid", "friction"))
+def test_prediction_is_the_sum_of_rigid_body_and_effects(logs, two_stages):
+    fit, _ = two_stages
     motion = motion_from_recording(logs[0], cutoff=40.0)
     body = fit.model.body(motion)
     total = body.load.copy()
@@ -276,15 +279,14 @@ def test_a_cutoff_above_half_the_rate_of_a_log_is_warned_of(logs, verb):
     assert any("of 10000 Hz filters nothing" in x and "250 Hz" in x for x in warnings)
 
 
-def test_a_stage_left_out_is_a_warning(logs):
-    with pytest.warns(HybridWarning, match="left out"):
-        identify(arm("planar"), logs, stages=("rigid", "friction"))
+def test_a_stage_left_out_is_a_warning(two_stages):
+    assert any("left out" in x for x in two_stages[1])
 
 
 def test_robust_weights_shrug_off_a_contact():
     """A push of two seconds at both joints bends the plain fit, not the robust one."""
     robot = arm("planar")
-    clean = simulate(robot, trajectories=5, duration=8, seed=4)
+    clean = simulate(robot, trajectories=5, duration=6, seed=4)
     push = ((clean[0].t > 3) & (clean[0].t < 5))[:, None] * np.array([24.0, 12.0])
     spoiled = [replace(clean[0], tau=clean[0].tau + push), *clean[1:4]]
     file = robot.with_inertial(1.3 * robot.chain.inertial)  # no help by itself

@@ -112,7 +112,7 @@ def test_weighted_least_squares_weighs_by_the_variance_of_each_joint(six_axes):
 def test_iterated_least_squares_is_generalised_least_squares_at_its_own_noise(six_axes):
     logs = six_axes.logs(six_axes.white(2, covariance_of(6, 0.8)))
     found = solve(six_axes.products(logs), "irls")
-    assert found.converged and found.iterations > 1
+    assert found.converged
     expected = six_axes.generalised(logs, found.weight)
     np.testing.assert_allclose(found.theta, expected, rtol=0, atol=1e-8)
     residual = six_axes.residual(logs, expected)
@@ -135,11 +135,11 @@ def test_noise_alike_on_all_joints_costs_iterated_least_squares_less(six_axes):
     size = np.sqrt(np.diag(plain))
     expected = np.sqrt(np.mean(np.diag(np.linalg.inv(weighted)) / size**2))
     square = dict.fromkeys(ESTIMATORS, 0.0)
-    for seed in range(12):
+    for seed in range(8):
         products = six_axes.products(six_axes.logs(six_axes.white(seed, covariance)))
         for name in ESTIMATORS:
             error = (solve(products, name).theta - six_axes.truth) / size
-            square[name] += np.mean(error**2) / 12
+            square[name] += np.mean(error**2) / 8
     ratio = np.sqrt(square["irls"] / square["ls"])
     assert ratio < 0.75 and ratio < 0.8 * np.sqrt(square["wls"] / square["ls"])
     assert ratio == pytest.approx(expected, rel=0.1)
@@ -320,16 +320,16 @@ def minute():
 
 @pytest.mark.parametrize("seconds", [0.2, *studied(0.0, 0.05)])
 def test_intervals_cover_the_truth_as_often_as_they_say(minute, seconds):
-    assert 0.92 <= hits(minute, 80, seconds).mean() <= 0.97
+    assert 0.92 <= hits(minute, 50, seconds).mean() <= 0.97
 
 
 def test_intervals_of_ordinary_least_squares_are_as_honest(minute):
-    assert 0.92 <= hits(minute, 80, 0.2, "ls").mean() <= 0.97
+    assert 0.92 <= hits(minute, 50, 0.2, "ls").mean() <= 0.97
 
 
 def test_intervals_of_six_joints_are_as_honest():
     bench = Bench("coman_like", duration=40.0, cutoff=10.0)
-    assert 0.92 <= hits(bench, 20, 0.1).mean() <= 0.97
+    assert 0.92 <= hits(bench, 12, 0.1).mean() <= 0.97
 
 
 def test_intervals_that_take_samples_for_independent_would_not_be(minute):
@@ -364,7 +364,7 @@ def test_a_gain_that_was_left_out_is_unknown_to_the_intervals(minute):
     assert len(viscous) == whole.problem.size - problem.size == minute.n
     known, shares = np.delete(minute.truth, viscous), []
     dry = [u for u, e, _ in problem.gains if effects[e].id == "coulomb"]
-    for seed in range(40):
+    for seed in range(25):
         logs = minute.logs(minute.white(seed, covariance_of(minute.n, 0.6)))
         found = solve(minute.products(logs))
         size = np.random.default_rng(seed).normal(0.0, found.std[viscous])

@@ -85,11 +85,9 @@ def test_a_block_counts_by_how_far_it_is_above_three_medians(times):
     assert found.share.max() == 1.0
 
 
-def test_how_often_weights_are_renewed_depends_on_the_estimator():
+def test_what_weights_there_are_depends_on_the_estimator():
     products, _ = products_of(white)
     once, twice, many = (solve(products, x) for x in ("ls", "wls", "irls"))
-    assert (once.iterations, twice.iterations) == (0, 2)
-    assert 1 <= many.iterations < 60
     assert once.converged and twice.converged and many.converged
     np.testing.assert_array_equal(once.weight, np.eye(2))
     assert not twice.weight[0, 1] and many.weight[0, 1]

@@ -19,7 +19,6 @@ from hybrid.effects.delay import Delay
 from hybrid.effects.saturation import Saturation
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.errors import IdentificationError
-from hybrid.regression.chunk import chunks_along
 from hybrid.regression.cross_products import accumulate, runs_of
 from hybrid.regression.intervals import (
     Estimate,
@@ -45,7 +44,7 @@ from hybrid.signals import Sampler
 def test_an_interval_is_that_of_students_distribution(level, inside):
     theta, covariance = np.array([1.0, -2.0]), np.diag([4.0, 0.25])
     made = Estimate(
-        theta, np.eye(1), np.ones(3), 1, True, None, None,
+        theta, np.eye(1), np.ones(3), True, None, None,
         covariance, np.eye(1), 7, (),
     )  # fmt: skip
     calibrated = object.__new__(KinematicSolution)
@@ -220,30 +219,20 @@ def test_a_sample_of_every_unknown_is_too_few():
             solve_weighted(sums, "ls")
 
 
-@pytest.mark.parametrize("hold", [True, False])
-def test_chunks_join_to_the_whole_whatever_their_number(hold):
+def test_chunks_join_to_the_whole_whatever_their_number():
     x = np.random.default_rng(0).standard_normal((2, 40_000))
     sampler = Sampler.for_rate(1000.0, 20.0)
     assert sampler.factor > 1
     (m, *_) = swings(count=1, seconds=1.0)
     t, q = np.arange(40_000) / 1000.0, x.T
     motion = replace(m, t=t, q=q, v=q, a=q, tau=q, mask=t >= 0)
-    problem = SimpleNamespace(
-        effects=(),
-        link_entries=(),
-        link_rows=np.array([True, False]),
-        link_columns=lambda few: few.q.T[:1],
-        rows=lambda few, links: np.concatenate([links, few.q.T[1:]]),
-    )
-    chunks = list(chunks_along(motion, sampler, hold=hold))
-    assert [chunk.first * sampler.factor for chunk in chunks] == [
-        k * (16384 // sampler.factor * sampler.factor) for k in range(3)
-    ]
-    for _ in range(2):
-        found = [chunk.rows(problem) for chunk in chunks]
-        joined, raw = (np.concatenate(x, axis=1) for x in zip(*found, strict=True))
-        np.testing.assert_allclose(joined, sampler(x, axis=1), atol=1e-6)
-        np.testing.assert_array_equal(raw, x)
+    problem = SimpleNamespace(rows=lambda few: few.q.T)
+    found = data_of([motion], cutoff=20.0).rows(problem, motion)
+    first, joined, raw = zip(*found, strict=True)
+    assert first == tuple(16384 // sampler.factor * sampler.factor * np.arange(3))
+    joined, raw = (np.concatenate(x, axis=1) for x in (joined, raw))
+    np.testing.assert_allclose(joined, sampler(x, axis=1), atol=1e-6)
+    np.testing.assert_array_equal(raw, x)
 
 
 def test_runs_end_where_any_label_changes():

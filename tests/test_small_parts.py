@@ -30,7 +30,6 @@ from hybrid.identification.remainder import _best_inputs, _candidates
 from hybrid.plant import random_fourier
 from hybrid.plant.noise import Noise
 from hybrid.plant.reference import limits
-from hybrid.regression.data import Residual
 from hybrid.regression.least_squares import _bounded_solve
 from hybrid.robot.geometry import Capsules
 from hybrid.threads import cores
@@ -222,14 +221,10 @@ def test_a_remainder_looks_at_what_tells_most_and_at_nothing_in_noise(law, input
     rng, count = np.random.default_rng(0), 1200
     q, v = rng.uniform(-1.0, 1.0, (2, count, 2))
     y = law(q, v) + 0.3 * rng.standard_normal(count)
-    tau = np.stack([0 * y, y], axis=1)
-    moving, fold = np.ones((count, 2), dtype=bool), np.arange(count) % 4
-    assert (
-        _best_inputs(Residual(q, v, tau, moving, fold), 1, _candidates(1, 2)) == inputs
-    )
-    few = slice(0, 150)
-    rest = Residual(q[few], v[few], tau[few], moving[few], fold[few])
-    assert _best_inputs(rest, 1, _candidates(1, 2)) is None
+    samples = q, v, y, np.arange(count) % 4
+    assert _best_inputs(samples, _candidates(1, 2)) == inputs
+    few = tuple(x[:150] for x in samples)
+    assert _best_inputs(few, _candidates(1, 2)) is None
 
 
 # --- signals --------------------------------------------------------------------------

@@ -73,9 +73,7 @@ class ArmRemainder:
         mean, variance = [0.0] * self.size, [np.nan] * self.size
         for part in self.parts:
             seen = [*(q[j] for j in part.positions), *(v[j] for j in part.speeds)]
-            (mean[part.joint],), (variance[part.joint],) = part.regression.at_instant(
-                seen
-            )
+            mean[part.joint], variance[part.joint] = part.regression.at_instant(seen)
         return mean, variance
 
     def as_dict(self) -> list[dict[str, object]]:
@@ -113,9 +111,8 @@ class ArmRemainder:
         parts = []
         for k, item in enumerate(content):
             prefix = f"remainder.{k}."
-            own = {
-                x[len(prefix) :]: a for x, a in arrays.items() if x.startswith(prefix)
-            }
+            named = (x for x in arrays if x.startswith(prefix))
+            own = {x.removeprefix(prefix): arrays[x] for x in named}
             try:
                 kind, valid = str(item["kind"]), GaussianMixtureRegression.kind
                 if kind != valid:

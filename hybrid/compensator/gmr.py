@@ -39,9 +39,9 @@ class Conditional(NamedTuple):
     Attributes:
         whitening: Inverse Cholesky factor of Σ_xx, shape (K, d, d), dimensionless.
         centre: Whitened input means, shape (K, d), dimensionless.
-        gain: Torque per whitened input, shape (K, m, d), [N·m].
-        output_mean: Output means, shape (K, m), [N·m].
-        output_variance: Conditional variance S, shape (K, m), [(N·m)²].
+        gain: Torque per whitened input, shape (K, d), [N·m].
+        output_mean: Output means, shape (K,), [N·m].
+        output_variance: Conditional variance S, shape (K,), [(N·m)²].
         log_weight: Log of π_k over the volume of component k, shape (K,).
     """
 
@@ -55,16 +55,16 @@ class Conditional(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixtureRegression:
-    """Remaining torque and its variance: d inputs, m outputs, K components.
+    """Remaining torque and its variance: d inputs, K components.
 
     Attributes:
         weights: Component weights with sum 1, shape (K,).
-        means: Means of [standardised x, y], shape (K, d+m), [1 and N·m].
-        covariances: Covariances of [standardised x, y], shape (K, d+m, d+m).
+        means: Means of [standardised x, y], shape (K, d+1), [1 and N·m].
+        covariances: Covariances of [standardised x, y], shape (K, d+1, d+1).
         input_offset: Training mean of each input, shape (d,), [unit of x].
         input_scale: Training deviation of each input, shape (d,), [unit of x].
-        prior_variance: Variance outside the data, shape (m,), [(N·m)²].
-        bound: Largest absolute output, shape (m,), [N·m].
+        prior_variance: Variance outside the data, shape (1,), [(N·m)²].
+        bound: Largest absolute output, shape (1,), [N·m].
         fade: Squared distances (see ``distance``) where the fade starts and where the
             output is zero, shape (2,), dimensionless.
 
@@ -92,19 +92,9 @@ class GaussianMixtureRegression:
         self._check()
 
     def _check(self) -> None:
-        k, d, m = self.weights.size, self.input_offset.size, self.bound.size
-        shapes = {
-            "weights": (k,),
-            "means": (k, d + m),
-            "covariances": (k, d + m, d + m),
-            "input_offset": (d,),
-            "input_scale": (d,),
-            "prior_variance": (m,),
-            "bound": (m,),
-            "fade": (2,),
-        }
-        for name, shape in shapes.items():
-            values = getattr(self, name)
+        k, d = self.components, self.inputs
+        shapes = (k,), (k, d + 1), (k, d + 1, d + 1), (d,), (d,), (1,), (1,), (2,)
+        for (name, values), shape in zip(self.arrays().items(), shapes, strict=True):
             if values.shape != shape or 0 in shape:
                 raise HybridError(f"{name} has shape {values.shape}, valid is {shape}")
             if not np.isfinite(values).all():
@@ -128,11 +118,6 @@ class GaussianMixtureRegression:
         return self.input_offset.size
 
     @property
-    def outputs(self) -> int:
-        """Number of outputs m."""
-        return self.bound.size
-
-    @property
     def components(self) -> int:
         """Number of components K."""
         return self.weights.size
@@ -144,18 +129,18 @@ class GaussianMixtureRegression:
     def predict_distribution(self, x: ArrayLike) -> tuple[Array, Array]:
         """Expected remaining torque and its variance at inputs, shape (N, d).
 
-        The mean is within ±``bound``, and zero far from the data, shape (N, m), [N·m];
-        the variance has the shape (N, m), [(N·m)²].
+        The mean is within ±``bound``, and zero far from the data, shape (N, 1), [N·m];
+        the variance has the shape (N, 1), [(N·m)²].
 
         Raises:
             HybridError: ``x`` has the wrong shape or holds NaN or infinity.
         """
         x = check_matrix("x", x, self.inputs)
-        found = np.empty((2, self.outputs, len(x)))
+        found = np.empty((2, len(x), 1))
         for start in range(0, len(x), _ROWS):
             rows = slice(start, start + _ROWS)
-            found[:, :, rows] = self.at_instant(list(x[rows].T))
-        return found[0].T, found[1].T
+            found[:, rows, 0] = self.at_instant(list(x[rows].T))
+        return found[0], found[1]
 
     def distance(self, x: ArrayLike) -> Array:
         """Soft minimum of the squared Mahalanobis distances to the components, (N,).
@@ -187,13 +172,17 @@ class GaussianMixtureRegression:
         except (HybridError, ValueError, TypeError) as error:
             raise ModelFileError(f"mixture is damaged: {error}") from error
 
-    def at_instant(self, x: Sequence[Any]) -> tuple[list[Any], list[Any]]:
-        """Mean [N·m] and variance [(N·m)²] of each output, by arithmetic on scalars.
+    def at_instant(self, x: Sequence[Any]) -> tuple[Any, Any]:
+        """Mean [N·m] and variance [(N·m)²] of the torque, by arithmetic on scalars.
 
         The inputs are numbers, arrays, or symbols of a tape.
         """
-        c, found = self.conditional, []
-        distance, outputs = self._parts(x)
+        c, bound, prior = (
+            self.conditional,
+            self.bound.item(),
+            self.prior_variance.item(),
+        )
+        distance, output = self._parts(x)
         soft, close = _soft_minimum(distance)
         start, end = self.fade.tolist()
         u = np.clip((end - soft) / (end - start), 0.0, 1.0)
@@ -201,22 +190,18 @@ class GaussianMixtureRegression:
         distrust = 1.0 - trust
         weight = np.exp(c.log_weight - c.log_weight.max())
         total = _dot(weight, close)
-        for m, output in enumerate(outputs):
-            bound, prior = float(self.bound[m]), float(self.prior_variance[m])
-            mean = np.clip(_dot(weight, map(mul, close, output)) / total, -bound, bound)
-            noise = c.output_variance[:, m].tolist()
-            squares = [
-                s + (y - mean) * (y - mean) for s, y in zip(noise, output, strict=True)
-            ]
-            within = _dot(weight, map(mul, close, squares)) / total
-            # Law of total variance: the mixture with probability trust, else the prior.
-            variance = trust * (within + distrust * mean * mean) + distrust * prior
-            found.append((trust * mean, variance))
-        means, variances = zip(*found, strict=True)
-        return list(means), list(variances)
+        mean = np.clip(_dot(weight, map(mul, close, output)) / total, -bound, bound)
+        noise = c.output_variance.tolist()
+        squares = [
+            s + (y - mean) * (y - mean) for s, y in zip(noise, output, strict=True)
+        ]
+        within = _dot(weight, map(mul, close, squares)) / total
+        # Law of total variance: the mixture with probability trust, else the prior.
+        variance = trust * (within + distrust * mean * mean) + distrust * prior
+        return trust * mean, variance
 
-    def _parts(self, x: Sequence[Any]) -> tuple[list[Any], list[list[Any]]]:
-        """Squared distance to each component, and its prediction of each output."""
+    def _parts(self, x: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+        """Squared distance to each component, and the torque that it predicts."""
         c = self.conditional
         units = self.input_offset.tolist(), self.input_scale.tolist()
         z = [
@@ -224,16 +209,15 @@ class GaussianMixtureRegression:
             / size
             for value, mean, size in zip(x, *units, strict=True)
         ]
-        distance, outputs = [], [list[Any]() for _ in self.bound]
+        distance, output = [], []
         for k in range(self.components):
             w = [
                 _dot(row[: i + 1], z[: i + 1]) - float(c.centre[k, i])
                 for i, row in enumerate(c.whitening[k])
             ]
             distance.append(sum(r * r for r in w))
-            for m, output in enumerate(outputs):
-                output.append(float(c.output_mean[k, m]) + _dot(c.gain[k, m], w))
-        return distance, outputs
+            output.append(float(c.output_mean[k]) + _dot(c.gain[k], w))
+        return distance, output
 
     @cached_property
     def conditional(self) -> Conditional:
@@ -244,15 +228,15 @@ class GaussianMixtureRegression:
         """
         # The Cholesky factor of the joint covariance contains the factor of Σ_xx, the
         # regression Σ_yx L⁻ᵀ and the factor of S, without differences of large numbers.
-        d, factor = self.inputs, np.linalg.cholesky(self.covariances)  # (K, d+m, d+m)
+        d, factor = self.inputs, np.linalg.cholesky(self.covariances)  # (K, d+1, d+1)
         whitening = np.linalg.solve(factor[:, :d, :d], np.eye(d)[None])
         log_volume = np.log(np.diagonal(factor[:, :d, :d], axis1=1, axis2=2)).sum(1)
         return Conditional(
             whitening=whitening,
             centre=np.einsum("kij,kj->ki", whitening, self.means[:, :d]),
-            gain=np.ascontiguousarray(factor[:, d:, :d]),
-            output_mean=np.ascontiguousarray(self.means[:, d:]),
-            output_variance=(factor[:, d:, d:] ** 2).sum(2),
+            gain=np.asarray(factor[:, d, :d], float),
+            output_mean=self.means[:, d],
+            output_variance=np.asarray(factor[:, d, d] ** 2, float),
             log_weight=np.log(self.weights) - log_volume,
         )
 

@@ -16,6 +16,7 @@ from hybrid.errors import HybridError, IdentificationError
 TRUSTED_SHARE = 0.995  # of the training samples, within the start of the fade
 FADE_RATIO = 4.0  # squared distance at the end of the fade, over that at its start
 _MOST_ROUNDS = 200  # of expectation maximisation
+_INDIFFERENCE = 0.01  # nat per sample
 CONSTANT = 1e-12  # relative variation of a channel that counts as constant
 
 
@@ -34,7 +35,7 @@ def fit_gmr(
 
     Args:
         x: Inputs such as joint position and speed, shape (N, d), any unit.
-        y: Residual torque of the physical terms, shape (N, m), [N·m].
+        y: Residual torque of the physical terms, shape (N, 1), [N·m].
         components: Number of components K, or numbers of which the best is chosen.
         validation: Held-out ``(x, y)``, preferably whole motions; they choose K by
             predictive likelihood. Without them BIC chooses K, which assumes
@@ -44,29 +45,27 @@ def fit_gmr(
             channel. It prevents components that collapse on a standstill, at whose
             border the torque would jump.
         max_samples: Largest number of rows, drawn without replacement.
-        bound: Largest absolute output, shape (m,) or scalar, [N·m], for instance a
+        bound: Largest absolute output, shape (1,) or scalar, [N·m], for instance a
             share of the rated torque; the largest residual in ``y`` by default.
 
     Raises:
         HybridError: An array has the wrong shape or holds NaN or infinity.
         IdentificationError: Too few samples for the number of components.
     """
-    x, y = check_pair(x, y)
-    rng, shape = np.random.default_rng(seed), y.shape[1:]
-    limit = np.abs(y).max(axis=0) if bound is None else np.asarray(bound, float)
-    if limit.shape not in ((), shape):
-        raise HybridError(f"bound has shape {limit.shape}, valid is {shape}")
-    limit = np.broadcast_to(limit, shape)
+    x, y = check_pair(x, y, columns=(None, 1))
+    rng = np.random.default_rng(seed)
+    limit = np.atleast_1d(np.abs(y).max() if bound is None else bound)
     pair = draw(x, y, max_samples, rng)
     if validation is not None:
-        checked = check_pair(*validation, columns=(x.shape[1], y.shape[1]))
+        checked = check_pair(*validation, columns=(x.shape[1], 1))
         held_out = draw(*checked, max_samples, rng)
-    joint = np.hstack([_standardise(values) for values in pair])
+    units = [_offset_and_scale(values) for values in pair]
+    joint = np.hstack([(z - at) / s for z, (at, s) in zip(pair, units, strict=True)])
     models: dict[int, GaussianMixtureRegression] = {}
     scores: dict[int, float] = {}
     for count in _usable(np.atleast_1d(components).tolist(), *joint.shape):
         mixture = _run_em(joint, count, floor=covariance_floor, rng=rng)
-        models[count] = model = _build(mixture, *pair, limit, covariance_floor)
+        models[count] = model = _build(mixture, *pair, units, limit, covariance_floor)
         if validation is None:
             scores[count] = -mixture.bic(joint) / (2.0 * len(joint))
         else:
@@ -74,22 +73,20 @@ def fit_gmr(
     return models[choose_components(scores)]
 
 
-def choose_components(
-    scores: Mapping[int, float], *, indifference: float = 0.01
-) -> int:
+def choose_components(scores: Mapping[int, float]) -> int:
     """The smallest number of components that is as good as the best.
 
     Scores are log-likelihoods per sample by number of components, [nat]. A difference
     of 0.01 nat is a standard deviation 1 % larger, and does not count.
     """
-    best = max(scores.values())
-    return min(k for k, score in scores.items() if score >= best - indifference)
+    least = max(scores.values()) - _INDIFFERENCE
+    return min(k for k, score in scores.items() if score >= least)
 
 
 def predictive_log_likelihood(
     model: GaussianMixtureRegression, x: Array, y: Array
 ) -> float:
-    """Log-likelihood of torque y, summed over outputs, mean over samples, [nat].
+    """Log-likelihood of torque y, mean over samples, [nat].
 
     Bound and fade are included, so that a few samples outside the training range cannot
     outweigh all others.
@@ -115,11 +112,6 @@ def _offset_and_scale(values: Array) -> tuple[Array, Array]:
     offset, scale = values.mean(axis=0), values.std(axis=0)
     size = np.maximum(np.abs(offset), 1.0)
     return offset, np.where(scale > CONSTANT * size, scale, size)
-
-
-def _standardise(values: Array) -> Array:
-    offset, scale = _offset_and_scale(values)
-    return (values - offset) / scale
 
 
 def _run_em(
@@ -151,11 +143,11 @@ def _build(
     mixture: GaussianMixture,
     x: Array,
     y: Array,
+    units: Sequence[tuple[Array, Array]],
     bound: Array,
     floor: float,
 ) -> GaussianMixtureRegression:
-    input_offset, input_scale = _offset_and_scale(x)
-    output_offset, output_scale = _offset_and_scale(y)
+    (input_offset, input_scale), (output_offset, output_scale) = units
     offset = np.concatenate([np.zeros_like(input_offset), output_offset])
     scale = np.concatenate([np.ones_like(input_scale), output_scale])
     model = GaussianMixtureRegression(

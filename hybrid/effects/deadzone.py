@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.arrays import Array, Mask
+from hybrid.arrays import Array
 from hybrid.effects import Body, Effect, Memory, Port, Quantity, Scalar
-from hybrid.effects.delivered import delivered_torque, moving
+from hybrid.effects.delivered import Drive
 from hybrid.signals import Motion
 
 # Slope of the law within the zone when it is inverted, so that the commanded torque
@@ -45,10 +45,12 @@ class Deadzone(Effect):
         Where nothing comes through, only the commanded torque shows it. Else the
         delivered torque shows it too, without the noise of the measured one.
         """
-        (j,) = self.joints
-        total = bool(self.values["total"])
-        torque = _signals(motion, j)[-1] if total else _delivered(motion, j)
-        return np.nan_to_num(self._direction(torque))[:, None, None]
+        drive = Drive.of(motion, self.joints[0])
+        torque = drive.asked
+        if not self.values["total"]:
+            torque = drive.delivered(motion.mask & drive.moving)
+        direction = np.clip(torque / self.values["onset"], -1.0, 1.0)
+        return np.nan_to_num(direction)[:, None, None]
 
     def holds(self, motions: Sequence[Motion]) -> bool:
         """Whether torque is outside the zone mostly, or nothing comes through.
@@ -56,31 +58,26 @@ class Deadzone(Effect):
         Else its direction looks like a gain. So that it is not just that of friction,
         the torque of the file has to be outside, too.
         """
-        (j,), onset = self.joints, self.values["onset"]
         if any(m.asked is None for m in motions):
             return True
-        moves = [_moving(m, j) for m in motions]
+        drives = [Drive.of(m, self.joints[0]) for m in motions]
+        moves = [m.mask & x.moving for m, x in zip(motions, drives, strict=True)]
+        pairs = zip(drives, moves, strict=True)
         if self.values["total"]:
-            parts = [
-                np.array(_signals(m, j))[:, use]
-                for m, use in zip(motions, moves, strict=True)
-            ]
-            return self._nothing_comes_through(*np.concatenate(parts, axis=1))
-        lower = np.concatenate([
-            np.minimum(np.abs(m.tau[:, j]), np.abs(_delivered(m, j)))[use]
-            for m, use in zip(motions, moves, strict=True)
-        ])  # fmt: skip
-        return bool((lower > onset).sum() > _LEAST_OUTSIDE * len(lower))
+            parts = [np.array(x)[:, use] for x, use in pairs]
+            return self._nothing_comes_through(Drive(*np.concatenate(parts, axis=1)))
+        each = [np.abs([x.tau, x.delivered(use)])[:, use] for x, use in pairs]
+        lower = np.concatenate(each, axis=1).min(axis=0)
+        outside = (lower > self.values["onset"]).sum()
+        return bool(outside > _LEAST_OUTSIDE * len(lower))
 
-    def _nothing_comes_through(
-        self, v: Array, a: Array, tau: Array, asked: Array
-    ) -> bool:
+    def _nothing_comes_through(self, drive: Drive) -> bool:
         """Whether nothing is delivered in the zone, which a controller leaves soon."""
-        onset = self.values["onset"]
+        asked, onset = drive.asked, self.values["onset"]
         inside = np.abs(asked) < onset
         if not 0 < inside.sum() < _MOST_INSIDE * len(inside):
             return False
-        delivered = np.abs(delivered_torque(v, a, tau, asked, ~inside, np.sign(asked)))
+        delivered = np.abs(drive.delivered(~inside, np.sign(asked)))
         least, usual = (np.median(delivered[x]) for x in (inside, ~inside))
         return bool(least < _MOST_DELIVERED * min(usual, onset))
 
@@ -100,25 +97,3 @@ class Deadzone(Effect):
         """Commanded torque for a delivered one: the inverse of ``deliver``."""
         (needed,), width = torque, self.values["width"]
         return [needed + np.clip(needed / _INVERSE_SLOPE, -width, width)], ()
-
-    def _direction(self, torque: Array) -> Array:
-        return np.clip(torque / self.values["onset"], -1.0, 1.0)
-
-
-def _signals(motion: Motion, j: int) -> tuple[Array, Array, Array, Array]:
-    """Speed, acceleration, torque of the file and commanded one of a joint, (N,).
-
-    Where no commanded torque is known it is that of the file.
-    """
-    asked = motion.tau if motion.asked is None else motion.asked
-    return motion.v[:, j], motion.a[:, j], motion.tau[:, j], asked[:, j]
-
-
-def _delivered(motion: Motion, j: int) -> Array:
-    """Delivered torque of a joint, shape (N,), [N·m]."""
-    return delivered_torque(*_signals(motion, j), _moving(motion, j))
-
-
-def _moving(motion: Motion, j: int) -> Mask:
-    """Good samples at which a joint moves, shape (N,)."""
-    return motion.mask & moving(motion.v[:, j])

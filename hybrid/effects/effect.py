@@ -261,11 +261,22 @@ class Effect(InPlant, Instant, ABC):
     @property
     def observes(self) -> bool:
         """Whether :meth:`observe` changes the motion."""
-        return type(self).observe is not Effect.observe
+        own = type(self)
+        by_state = own.true_state is not Instant.true_state
+        return by_state or own.observe is not Effect.observe
 
     def observe(self, motion: Motion, body: Body) -> Motion:
-        """The true motion of the rigid body, from the measured motion."""
-        return motion
+        """The true motion of the rigid body, from the measured motion.
+
+        Its joint has the :meth:`true_state`, if the effect states one.
+        """
+        if not self.observes:
+            return motion
+        j, state = list(self.joints), [motion.q, motion.v, motion.a]
+        true = self.true_state(*(x[:, j] for x in state))
+        q, v, a = (x.copy() for x in state)
+        q[:, j], v[:, j], a[:, j] = true
+        return replace(motion, q=q, v=v, a=a)
 
     def frequency(self, body: Body) -> float:
         """Mean natural frequency along a motion, [Hz]; 0 if it does not oscillate."""

@@ -1,7 +1,5 @@
 """Eccentricity of the encoder disc."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from hybrid.arrays import Array
@@ -35,17 +33,13 @@ class EncoderEccentricity(Effect):
             columns.append(body.response(j, *change))
         return np.stack(columns, axis=-1)
 
-    def observe(self, motion: Motion, body: Body) -> Motion:
-        """The true motion, from q_measured = q + e(q) and its derivatives."""
-        j = list(self.joints)
-        q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
-        q[:, j], v[:, j], a[:, j] = self.true_state(q[:, j], v[:, j], a[:, j])
-        return replace(motion, q=q, v=v, a=a)
-
     def true_state(
         self, q: Scalar, v: Scalar, a: Scalar
     ) -> tuple[Scalar, Scalar, Scalar]:
-        """By successive substitution; see :meth:`Instant.true_state`."""
+        """From q_measured = q + e(q) and its derivatives, by successive substitution.
+
+        See :meth:`Instant.true_state`.
+        """
         true = q
         for _ in range(_PASSES):
             true = q - self._error(true)[0]

@@ -1,7 +1,5 @@
 """Offset of the encoder's zero from that of the robot file."""
 
-from dataclasses import replace
-
 from hybrid.arrays import Array
 from hybrid.effects import Body, Effect, Port, Quantity, Scalar
 from hybrid.signals import Motion
@@ -21,12 +19,6 @@ class EncoderOffset(Effect):
     def columns(self, motion: Motion, body: Body) -> Array:
         """First order, −∂τ/∂q; see :meth:`Effect.columns`; shape (N, n, 1)."""
         return -body.slopes(self.joints[0])[0][:, :, None]
-
-    def observe(self, motion: Motion, body: Body) -> Motion:
-        """The motion at the true positions."""
-        q = motion.q.copy()
-        q[:, self.joints] -= self.values["offset"]
-        return replace(motion, q=q)
 
     def true_state(
         self, q: Scalar, v: Scalar, a: Scalar

@@ -180,17 +180,13 @@ def effects_from_text(
             )
         for group in _groups(cls, joints, names):
             effects.append(cls.typical(group, scales, **values))
-            _check_signs(effects[-1], item)
+        for x in (*cls.gains, *cls.shapes):
+            value = values.get(x.name, 0.0)
+            if x.lower >= 0 and not value >= 0:
+                raise EffectError(
+                    f"{item!r}: {x.name} is {value:g}; valid is 0 or more"
+                )
     return effects
-
-
-def _check_signs(effect: Effect, item: str) -> None:
-    for quantity in (*effect.gains, *effect.shapes):
-        value = effect.values[quantity.name]
-        if quantity.lower >= 0 and not value >= 0:
-            raise EffectError(
-                f"{item!r}: {quantity.name} is {value:g}; valid is 0 or more"
-            )
 
 
 def _values(text: str, item: str) -> dict[str, float]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.effects import Body, Effect, Memory, Port, Quantity, Scalar
-from hybrid.effects.delivered import delivered_torque, moving
+from hybrid.effects.delivered import Drive
 from hybrid.signals import Motion
 
 _CLIPPED = 0.9  # loss from which a drive counts as clipping
@@ -74,14 +74,11 @@ class Saturation(Effect):
         """Whether a drive that clips delivers its limit when the command is beyond."""
         if not self.values["total"]:
             return True
-        count, limit, (j,) = np.zeros(2), self.values["limit"], self.joints
-        for motion in motions:
-            if motion.asked is None:
-                continue
-            known = motion.v, motion.a, motion.tau, motion.asked
-            v, a, tau, asked = (x[:, j] for x in known)
-            moves, below = moving(v), np.abs(asked) < limit
-            tau = delivered_torque(v, a, tau, asked, moves & below)
+        count, limit = np.zeros(2), self.values["limit"]
+        for motion in (m for m in motions if m.asked is not None):
+            drive = Drive.of(motion, self.joints[0])
+            moves, asked = drive.moving, drive.asked
+            tau = drive.delivered(moves & (np.abs(asked) < limit))
             over = moves & (np.abs(asked) > limit)
             apart = np.abs(np.sign(asked) * tau - limit) > _LIMIT_TOLERANCE * limit
             count += (over & apart).sum(), over.sum()

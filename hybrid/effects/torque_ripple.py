@@ -22,10 +22,7 @@ class TorqueRipple(JointEffect):
         Quantity("sine", "N·m", 0.02, -0.15, 0.15, per=(1, 0)),
         Quantity("cosine", "N·m", 0.0, -0.15, 0.15, per=(1, 0)),
     )
-    shapes = (
-        Quantity("periods", "1/turn", 20.0, 1.0, 1000.0, near=0.5),
-        FASTEST,
-    )
+    shapes = (Quantity("periods", "1/turn", 20.0, 1.0, 1000.0, near=0.5), FASTEST)
     equation = "τ = A_s · sin(k q) + A_c · cos(k q)"
     source = "Holtz and Springob 1996, doi 10.1109/28.491472"
     sentence = "The torque of {joints} repeats with position."

@@ -80,7 +80,7 @@ def physically_consistent(problem: Problem, A: Array, b: Array) -> Consistent:
     mapping = problem.base.mapping[:, [*range(10 * n), *gains]]
     frame, size = _frame(problem.chain, mapping, A)
     ones = np.tile(stacked(np.eye(4)), n)
-    nominal = np.append(ones, [_gain_of_file(problem, column) for column in gains])
+    nominal = np.append(ones, [_rotor_of_file(problem, column) for column in gains])
     lower = [problem.lower[unknowns], np.zeros(len(beside))]
     floor = np.concatenate([_MARGIN * ones, *lower])
     K = mapping @ frame
@@ -131,10 +131,9 @@ def _beside(problem: Problem, unknowns: list[int]) -> list[int]:
     ]
 
 
-def _gain_of_file(problem: Problem, column: int) -> float:
-    """Gain in the robot file, if it may be taken for that of a link; else 0."""
-    e, _ = problem.columns[column - 10 * problem.chain.size]
-    effect = problem.effects[e]
+def _rotor_of_file(problem: Problem, column: int) -> float:
+    """The gain of a rotor, which may be taken for a link's, in the robot file; or 0."""
+    effect = problem.effects[problem.columns[column - 10 * problem.chain.size][0]]
     rotor = effect.id == "armature"
     return float(problem.chain.armature[effect.joints[0]]) if rotor else 0.0
 
@@ -149,16 +148,13 @@ def _frame(chain: Chain, mapping: Array, A: Array) -> tuple[Array, Array]:
     bodies = nominal_bodies(chain, chain.inertial)
     frames = [inertial_per_stacked(root) for root in np.linalg.cholesky(bodies)]
     frame = block_diag(*frames, np.eye(mapping.shape[1] - 10 * chain.size))
-    size = _sizes(np.diag(frame.T @ mapping.T @ A @ mapping @ frame), chain.size)
-    return frame / size, size
-
-
-def _sizes(curvature: Array, n: int) -> Array:
-    """Scale of each coordinate; the ten of a link have the same."""
-    links = curvature[: 10 * n].reshape(n, 10).mean(axis=1)
+    curvature = np.diag(frame.T @ mapping.T @ A @ mapping @ frame)
+    links, gains = np.split(curvature, [10 * chain.size])
+    links = links.reshape(-1, 10).mean(axis=1)
     if not links.max() > 0:
         raise IdentificationError("the data determine no link; more motion is needed")
-    gains = curvature[10 * n :] / links.max()
+    gains = gains / links.max()
     links = np.maximum(links / links.max(), _SMALLEST_SCALE)
     gains = np.where(gains > 0, gains, 1.0)
-    return np.asarray(np.sqrt(np.concatenate([np.repeat(links, 10), gains])))
+    size = np.sqrt(np.concatenate([np.repeat(links, 10), gains]))
+    return frame / size, size

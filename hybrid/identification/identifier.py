@@ -5,6 +5,7 @@ from typing import Self
 
 import numpy as np
 from sklearn.base import BaseEstimator
+from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted
 
 from hybrid.arguments import typed
@@ -83,12 +84,9 @@ class Identifier(BaseEstimator):  # type: ignore[misc]
             if not x.has_torque:
                 raise RecordingError(f"{x.source or 'recording'}: no torque to predict")
         logs = [x.in_order(self.robot.joints) for x in X]
-        measured = np.concatenate([x.tau for x in logs])
-        residual = measured - np.concatenate(self.predict(logs))
-        measured, residual = (
-            x[np.isfinite(residual).all(axis=1)] for x in (measured, residual)
-        )
-        squares = np.sum((measured - measured.mean(axis=0)) ** 2, axis=0)
-        moves = squares > 0
-        left = np.sum(residual**2, axis=0)[moves] / squares[moves]
-        return float(np.mean(1.0 - left))
+        pair = (x.tau for x in logs), self.predict(logs)
+        measured, predicted = (np.concatenate([*x]) for x in pair)
+        known = np.isfinite(measured - predicted).all(axis=1)
+        changes = np.ptp(measured[known], axis=0) > 0
+        at = np.ix_(known, changes)
+        return float(r2_score(measured[at], predicted[at]))

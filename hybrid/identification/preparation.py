@@ -56,7 +56,7 @@ def checked_logs(
     for x in recordings:
         own = check_recordings([x], robot) if isinstance(x, Recording) else [x]
         for log in own:
-            first = logs.setdefault((log_hash(log), _hash(log, log.q)), log)
+            first = logs.setdefault((log_hash(log), log_hash(log, log.q)), log)
             if first is not log:
                 warn(f"{log.source}: the same log as {first.source}; it counts once")
     if not logs:
@@ -64,15 +64,12 @@ def checked_logs(
     return list(logs.values())
 
 
-def log_hash(log: Recording | Motion) -> str:
-    """Hash of the measured torque that a log offers, which identifies the log.
+def log_hash(log: Recording | Motion, signal: Array | None = None) -> str:
+    """Hash of a signal of a log; that of its torque, the default, identifies the log.
 
-    Masked samples are not offered: the one half of a log is not the other.
+    Masked samples do not count: the one half of a log is not the other.
     """
-    return _hash(log, log.tau)
-
-
-def _hash(log: Recording | Motion, x: Array) -> str:
+    x = log.tau if signal is None else signal
     offered = x[log.mask] if isinstance(log, Motion) else x
     return hashlib.sha256(np.ascontiguousarray(offered).tobytes()).hexdigest()[:16]
 
@@ -208,11 +205,15 @@ def products_at_best_cutoff(
     Raises:
         IdentificationError: Every sample is masked, or the cut-off is too low.
     """
+
+    def solutions(products: CrossProducts) -> Array:
+        found = solve_weighted(products, "wls", robust=robust)
+        return without_folds(products, found)
+
     data = prepare(logs, cutoff)
-    best = products = accumulate(problem, data)
-    highest, least = data.cutoff, np.inf
-    found = solve_weighted(products, "wls", robust=robust)
-    left = data.held_out_residual(problem, without_folds(products, found))
+    best = accumulate(problem, data)
+    theta = solutions(best)
+    left = data.held_out_residual(problem, theta)
     models = [m.tau - x for m, x in zip(data.motions, left, strict=True)]
     band = band_of(data.motions, models, data.cutoff)
     if band < np.inf:
@@ -220,21 +221,24 @@ def products_at_best_cutoff(
     if cutoff is not None or not any(isinstance(x, Recording) for x in logs):
         return best
     shortest = min(float(m.t[-1] - m.t[0]) for m in data.motions)
-    for halvings in range(_MOST_HALVINGS + 1):
-        cutoff = highest / 2**halvings
+    least = _level(best, theta, robust)
+    for halvings in range(1, _MOST_HALVINGS + 1):
+        cutoff = data.cutoff / 2**halvings
         if cutoff * shortest < FEWEST_PERIODS * data.fold_count:
             break
-        if halvings:
-            products = accumulate(problem, prepare(logs, cutoff, highest=highest))
-        found = solve_weighted(products, "wls", robust=robust)
-        theta = without_folds(products, found)
-        squares = summed_squares(products.held_out_squares(theta), robust)
-        error = np.sqrt(squares / products.data.moving)
-        level = float(np.log(np.maximum(error, 1e-300)).mean())
+        lower = accumulate(problem, prepare(logs, cutoff, highest=data.cutoff))
+        level = _level(lower, solutions(lower), robust)
         if level > least - _WORTH_HALVING:
             break
-        best, least = products, level
+        best, least = lower, level
     return best
+
+
+def _level(products: CrossProducts, theta: Array, robust: bool) -> float:
+    """Mean log of the held-out RMS torque of the joints, by :func:`without_folds`."""
+    squares = summed_squares(products.held_out_squares(theta), robust)
+    error = np.sqrt(squares / products.data.moving)
+    return float(np.log(np.maximum(error, 1e-300)).mean())
 
 
 def summed_squares(squares: Array, robust: bool) -> Array:

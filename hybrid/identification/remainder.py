@@ -9,7 +9,7 @@ from hybrid.arrays import Array, Index, Mask
 from hybrid.compensator import GaussianMixtureRegression
 from hybrid.compensator.arm_remainder import ArmRemainder, JointRemainder
 from hybrid.identification.gate import lowers
-from hybrid.regression.data import Data, Residual
+from hybrid.regression.data import Data
 
 _FEWEST_SAMPLES = 200
 _LEAST_FALL = 0.01  # of the squared residuals, relative, for inputs to be of use
@@ -19,6 +19,8 @@ _RIDGES = (1e-5, 1e-3, 1e-1)  # of the squares of a feature
 _MOST_SAMPLES = 3000  # of a fit that is only used for a score
 
 Inputs = tuple[tuple[int, ...], tuple[int, ...]]  # joints of the positions, the speeds
+# Positions and speeds of the arm, (M, n) each, residual of a joint, (M,), and folds.
+_Samples = tuple[Array, Array, Array, Index]
 
 
 def fit_remainder(
@@ -50,17 +52,17 @@ def fit_remainder(
         [N·m].
     """
     n = held_out[0].shape[1]
-    residual, parts = data.decimated(held_out), []
-    cross = [np.zeros_like(x) for x in held_out]
+    parts, cross = [], [np.zeros_like(x) for x in held_out]
     before, limits = data.squares(held_out), np.broadcast_to(bound, n)
     offered = {j: _candidates(j, n) for j in range(n)}
     if among is not None:
         offered = {p.joint: [(p.positions, p.speeds)] for p in among.parts}
     for joint, candidates in offered.items():
-        inputs = _best_inputs(residual, joint, candidates)
+        samples = _samples(data, [x[:, joint] for x in held_out], joint)
+        inputs = _best_inputs(samples, candidates)
         if inputs is None:
             continue
-        found = _learned(data, residual, joint, inputs, float(limits[joint]), seed)
+        found = _learned(data, samples, inputs, float(limits[joint]), seed)
         if found is None:
             continue
         predicted, fit = found
@@ -74,15 +76,25 @@ def fit_remainder(
     return ArmRemainder(n, tuple(parts)), cross
 
 
-def _best_inputs(
-    residual: Residual, joint: int, candidates: Sequence[Inputs]
-) -> Inputs | None:
+def _samples(data: Data, residual: Sequence[Array], joint: int) -> _Samples:
+    """Decimated samples at which a joint moves; its residual, (N,), gets filtered."""
+    parts = []
+    for motion, tau, fold in zip(data.motions, residual, data.folds, strict=True):
+        keep = slice(None, None, data.sampler(motion.rate).factor)
+        use, y = data.moves(motion)[keep, joint], data.sampler(motion.rate)(tau)
+        parts.append(
+            (motion.q[keep][use], motion.v[keep][use], y[use], fold[keep][use])
+        )
+    q, v, y, fold = map(np.concatenate, zip(*parts, strict=True))
+    return q, v, y, fold
+
+
+def _best_inputs(samples: _Samples, candidates: Sequence[Inputs]) -> Inputs | None:
     """Inputs whose smooth functions lower the held-out squares most, if any do."""
-    use = residual.moving[:, joint]
-    y, fold = residual.tau[use, joint], residual.fold[use]
+    q, v, y, fold = samples
     best, chosen = (1 - _LEAST_FALL) * float(y @ y), None
     for inputs in candidates:
-        error = _ridge_error(_inputs(residual.q, residual.v, inputs)[use], y, fold)
+        error = _ridge_error(_inputs(q, v, inputs), y, fold)
         if error < best:
             best, chosen = error, inputs
     return chosen
@@ -123,7 +135,7 @@ def _candidates(joint: int, n: int) -> list[Inputs]:
 
 
 def _learned(
-    data: Data, residual: Residual, joint: int, inputs: Inputs, bound: float, seed: int
+    data: Data, samples: _Samples, inputs: Inputs, bound: float, seed: int
 ) -> tuple[list[Array], Callable[[], GaussianMixtureRegression]] | None:
     """Torque of a regression without the fold of each sample, and the fit to all.
 
@@ -132,9 +144,8 @@ def _learned(
     """
     from hybrid.compensator.gmr_fit import fit_gmr  # scikit-learn is slow to load
 
-    moving, components = residual.moving[:, joint], None
-    x = _inputs(residual.q, residual.v, inputs)[moving]
-    y, fold = residual.tau[moving, joint, None], residual.fold[moving]
+    q, v, y, fold = samples
+    x, y, components = _inputs(q, v, inputs), y[:, None], None
 
     def fit(held: Mask) -> GaussianMixtureRegression:
         return fit_gmr(
@@ -148,7 +159,7 @@ def _learned(
         )
 
     predicted = [np.zeros(len(m.t)) for m in data.motions]
-    for k in np.unique(residual.fold):
+    for k in range(data.fold_count):
         held = fold == k
         if min((~held).sum(), 4 * held.sum()) < _FEWEST_SAMPLES:
             return None

@@ -121,10 +121,10 @@ def _pieces(solution: Solution) -> list[list[_Piece]]:
     data = solution.products.data
     share = _MOST_SECONDS / sum(m.t[-1] - m.t[0] for m in data.motions)
     found: list[list[_Piece]] = [[] for _ in range(problem.chain.size)]
-    for motion, fold, chunks in zip(data.motions, data.folds, data.chunks, strict=True):
-        sampler, total = chunks[0].sampler, int(min(1.0, share) * len(motion.t))
+    for motion, fold in zip(data.motions, data.folds, strict=True):
+        sampler, total = data.sampler(motion.rate), int(min(1.0, share) * len(motion.t))
         short = part(motion, slice(0, total))
-        begun = [x.rows(problem)[0] for x in chunks if x.first * sampler.factor < total]
+        begun = [D for _, D, _ in data.rows(problem, motion, total)]
         whole = np.concatenate(begun, axis=1)[:, : -(-total // sampler.factor)]
         block = ((sampler.keep(short.t) - motion.t[0]) // _BLOCK_SECONDS).astype(int)
         own, moves = sampler.keep(fold[: len(short.t)]), sampler.keep(data.moves(short))

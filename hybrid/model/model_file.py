@@ -247,8 +247,6 @@ def _check_joints(remainder: ArmRemainder) -> None:
         for j in (part.joint, *part.positions, *part.speeds):
             if not 0 <= j < remainder.size:
                 raise ModelFileError(f"a remainder uses joint {j} of {remainder.size}")
-        if part.regression.outputs != 1:
-            raise ModelFileError("a joint's remainder has more than one torque")
 
 
 def _real(x: Any) -> float:

@@ -132,20 +132,19 @@ def accumulate(problem: Problem, data: Data) -> CrossProducts:
     # Products and counts by recording, block and fold.
     found: dict[tuple[int, int, int], tuple[Array, Array]] = {}
     for r, motion in enumerate(data.motions):
-        moves = data.moves(motion).T
-        for chunk in data.chunks[r]:
-            first, sampler, (D, raw) = chunk.first, chunk.sampler, chunk.rows(problem)
-            here = slice(first * sampler.factor, first * sampler.factor + raw.shape[1])
+        moves, sampler = data.moves(motion).T, data.sampler(motion.rate)
+        for start, D, raw in data.rows(problem, motion):
+            here = slice(start, start + raw.shape[1])
             _add_by_block(unfiltered, data.blocks[r][here], raw, moves[:, here])
             moving = moves[:, here][:, :: sampler.factor].astype(float)
             D *= np.repeat(moving, sizes, axis=0)
             length = max(1, round(block_seconds * motion.rate / sampler.factor))
-            block = (first + np.arange(D.shape[1])) // length
+            block = (start // sampler.factor + np.arange(D.shape[1])) // length
             own = sampler.keep(data.folds[r][here])
-            for start, stop in runs_of(block, own):
-                x, there = D[:, start:stop], moving[:, start:stop]
+            for begin, stop in runs_of(block, own):
+                x, there = D[:, begin:stop], moving[:, begin:stop]
                 if there.any():
-                    key = r, int(block[start]), int(own[start])
+                    key = r, int(block[begin]), int(own[begin])
                     products, counts = found.get(key, (0.0, 0.0))
                     found[key] = products + x @ x.T, counts + there @ there.T
     if not found:
@@ -161,10 +160,7 @@ def accumulate(problem: Problem, data: Data) -> CrossProducts:
 
 
 def _add_by_block(
-    sums: tuple[Array, ...],
-    block: Index,
-    D: Array,
-    moving: Mask,
+    sums: tuple[Array, ...], block: Index, D: Array, moving: Mask
 ) -> None:
     """Add products of rows (P, N) to the blocks of their samples, where joints move."""
     parts = np.split(D, np.cumsum([x.shape[1] for x in sums])[:-1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,12 +11,12 @@ import numpy as np
 from hybrid.arrays import Array, Index, Mask
 from hybrid.effects import Scale
 from hybrid.errors import RecordingError
-from hybrid.regression.chunk import Chunk, chunks_along
-from hybrid.regression.problem import Problem
+from hybrid.regression.problem import Problem, part
 from hybrid.signals import Motion, Sampler
 
 _FEWEST_BLOCKS = 48  # over which the gain of a term is averaged
-_MOST_HELD = 2**28  # bytes of columns of links
+_CHUNK = 16384  # samples processed at a time, at full rate
+_GRADIENT_MARGIN = 16  # samples that numerical derivatives need on both sides
 
 
 @dataclass(frozen=True)
@@ -51,17 +51,46 @@ class Data:
         pairs = zip(self.motions, known, strict=True)
         return replace(self, motions=tuple(replace(m, tau=m.tau - x) for m, x in pairs))
 
+    def rows(
+        self, problem: Problem, motion: Motion, end: int | None = None
+    ) -> Iterator[tuple[int, Array, Array]]:
+        """Rows of a problem along a motion, some samples at a time.
+
+        Columns and torque are filtered identically. Torque that its logger has filtered
+        passes no other filter, and columns that one even at full rate. Chunks overlap
+        by the length of the filter, so the result does not depend on them. Those that
+        begin at the sample ``end`` or later are left out.
+
+        Yields:
+            Index of the first sample, the rows filtered and decimated, (P, M), and at
+            full rate, (P, N).
+        """
+        sampler, total = self.sampler(motion.rate), len(motion.t)
+        factor = sampler.factor
+        margin = -(-max(sampler.margin, _GRADIENT_MARGIN) // factor) * factor
+        chunk = max(_CHUNK, 4 * margin) // factor * factor
+        for start in range(0, total if end is None else end, chunk):
+            before, stop = max(0, start - margin), min(total, start + chunk)
+            full = problem.rows(part(motion, slice(before, stop + margin)))
+            if self.band < np.inf:
+                columns = np.delete(np.arange(len(full)), problem.torque_rows)
+                full[columns] = self.seen(motion, full[columns].T).T
+                D = full[:, ::factor]
+            else:
+                D = sampler(full, axis=1)
+            skipped, count = (start - before) // factor, -(-(stop - start) // factor)
+            inner = slice(start - before, stop - before)
+            yield start, D[:, skipped : skipped + count], full[:, inner]
+
     def held_out_residual(self, problem: Problem, theta: Array) -> list[Array]:
         """Unfiltered residual of each sample by the solution without its fold.
 
         Solutions have shape (F, p), and residuals (N, n) for each motion, [N·m].
         """
         found = []
-        for fold, chunks in zip(self.folds, self.chunks, strict=True):
+        for fold, motion in zip(self.folds, self.motions, strict=True):
             residual = np.empty((len(fold), len(problem.support)))
-            for chunk in chunks:
-                _, full = chunk.rows(problem)
-                start = chunk.first * chunk.sampler.factor
+            for start, _, full in self.rows(problem, motion):
                 here = slice(start, start + full.shape[1])
                 parts = np.split(full, problem.offsets[1:-1])
                 for i, own in enumerate(parts):
@@ -98,16 +127,6 @@ class Data:
         """Fold of each block, shape (B,)."""
         _, first = np.unique(np.concatenate(self.blocks), return_index=True)
         return np.concatenate(self.folds)[first]
-
-    @cached_property
-    def chunks(self) -> list[list[Chunk]]:
-        """Chunks of each motion; the columns of the links in short logs are held."""
-        n = self.motions[0].q.shape[1]
-        entries = 5 * n * (n + 1) * sum(len(m.t) for m in self.motions)
-        hold, rates = 8 * entries < _MOST_HELD, [m.rate for m in self.motions]
-        pairs = zip(self.motions, map(self.sampler, rates), strict=True)
-        band = self.band
-        return [list(chunks_along(*x, hold=hold, band=band)) for x in pairs]
 
     def sampler(self, rate: float) -> Sampler:
         """Filter and decimator of columns at a rate, [Hz]."""
@@ -157,35 +176,6 @@ class Data:
         """Samples that are not masked and at which each joint moves, shape (N, n)."""
         moves = np.abs(motion.v) > self.standing
         return np.asarray(moves & motion.mask[:, None])
-
-    def decimated(self, residual: Sequence[Array]) -> Residual:
-        """A residual as in :meth:`squares`, filtered, decimated and concatenated."""
-        parts = []
-        for motion, tau, fold in zip(self.motions, residual, self.folds, strict=True):
-            sampler = self.sampler(motion.rate)
-            few = slice(None, None, sampler.factor)
-            moves = self.moves(motion)[few]
-            parts.append((motion.q[few], motion.v[few], sampler(tau), moves, fold[few]))
-        return Residual(*(np.concatenate(x) for x in zip(*parts, strict=True)))
-
-
-@dataclass(frozen=True)
-class Residual:
-    """Filtered residual torque of a model at M decimated samples of all motions.
-
-    Attributes:
-        q: Positions, shape (M, n), [rad].
-        v: Speeds, shape (M, n), [rad/s].
-        tau: Residual torque, shape (M, n), [N·m].
-        moving: True where a joint moves and is not masked, shape (M, n).
-        fold: Fold of each sample, shape (M,).
-    """
-
-    q: Array
-    v: Array
-    tau: Array
-    moving: Mask
-    fold: Index
 
 
 def check_torque(motions: Sequence[Motion]) -> None:

@@ -39,7 +39,6 @@ class WeightedSolution:
         theta: Unknowns, shape (p,).
         weight: Weight across joints of the last iteration, shape (n, n).
         share: Weight of each block in the last iteration, from 0 to 1, shape (B,).
-        iterations: Number of reweightings.
         converged: False if the iteration limit was reached first.
         lower: Smallest value of each unknown, shape (p,), or None for no bounds.
         prior: Prior of the unknowns, or None.
@@ -48,7 +47,6 @@ class WeightedSolution:
     theta: Array
     weight: Array
     share: Array
-    iterations: int
     converged: bool
     lower: Array | None
     prior: Prior | None
@@ -98,18 +96,18 @@ def solve_weighted(
         sigma = residual_covariance(products, theta, full=False)
         weight = np.eye(n) / np.diag(sigma).mean()
         theta = solution(weight, share, prior)
-    converged, iterations = estimator == "ls", 0
-    limit = {"ls": 0, "wls": 2, "irls": _MOST_ITERATIONS}[estimator]
-    while iterations < limit and not converged:
+    converged = estimator != "irls"
+    for _ in range({"ls": 0, "wls": 2, "irls": _MOST_ITERATIONS}[estimator]):
         share = _block_weights(products, theta, weight) if robust else share
         full = estimator == "irls"
         sigma = residual_covariance(products, theta, share, full=full)
         weight = np.asarray(np.linalg.inv(sigma), dtype=np.float64)
         before, theta = theta, solution(weight, share, prior)
         change = np.abs(theta - before).max() / (np.abs(theta).max() + 1e-12)
-        converged, iterations = bool(change < _TOLERANCE), iterations + 1
-    converged = converged or estimator == "wls"
-    return WeightedSolution(theta, weight, share, iterations, converged, lower, prior)
+        if change < _TOLERANCE:
+            converged = True
+            break
+    return WeightedSolution(theta, weight, share, converged, lower, prior)
 
 
 def without_folds(products: CrossProducts, found: WeightedSolution) -> Array:
@@ -200,8 +198,8 @@ def residual_covariance(
     freedom = np.maximum(1.0, counts - products.problem.size / n)
     sigma = products.residual_products(theta) / freedom
     # A difference of cross-products is uncertain by their rounding errors.
-    torque = np.array(products.problem.offsets[1:]) - 1
-    power = np.diag(products.total)[torque] / np.diag(freedom)
+    torque = np.diag(products.total)[products.problem.torque_rows]
+    power = torque / np.diag(freedom)
     floor = _ROUNDING * np.maximum(power, _ROUNDING * power.max())
     own = np.diag(np.clip(np.diag(sigma), 0.0, None) + floor)
     if not full:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.arrays import Array, Index, Mask
+from hybrid.arrays import Array, Index
 from hybrid.dynamics import (
     BaseParameters,
     RigidBody,
@@ -99,28 +99,19 @@ class Problem:
         return (0, *np.cumsum([len(x) + 1 for x in self.support]).tolist())
 
     @cached_property
-    def link_rows(self) -> Mask:
-        """Which :meth:`rows` are columns of links, shape (P,)."""
-        links = len(self.rigid)
-        return np.concatenate([np.append(x, links) < links for x in self.support])
+    def torque_rows(self) -> Index:
+        """Which :meth:`rows` are torque, shape (n,)."""
+        return np.array(self.offsets[1:]) - 1
 
     @cached_property
     def link_entries(self) -> tuple[int, ...]:
-        """Those rows as entries of the flattened (n, 10n) regressor."""
+        """Rows that are columns of links, as entries of the flattened regressor."""
         kept, size = np.array(self.base.kept)[self.rigid], 10 * self.chain.size
         each = [x[x < len(kept)] for x in self.support]
         return tuple(size * i + int(k) for i, x in enumerate(each) for k in kept[x])
 
-    def link_columns(self, motion: Motion) -> Array:
-        """Those rows along a motion, shape (their number, N)."""
-        law = regressor_law(self.chain, self.link_entries)
-        return law.rows((motion.q, motion.v, motion.a))
-
-    def rows(self, motion: Motion, links: Array | None = None) -> Array:
-        """Columns of each joint by its :attr:`support`, then its torque, (P, N).
-
-        The result of :meth:`link_columns` is used if it is given.
-        """
+    def rows(self, motion: Motion) -> Array:
+        """Columns of each joint by its :attr:`support`, then its torque, (P, N)."""
         tau, body = motion.tau, RigidBody(self.chain, motion, self.inertial)
         for effect in self.effects:
             if effect.observes:
@@ -129,7 +120,8 @@ class Problem:
         columns = [effect.columns(motion, body) for effect in self.effects]
         reached = [list(effect.reaches(self.chain.size)) for effect in self.effects]
         out = np.empty((self.offsets[-1], len(motion.t)))
-        links = self.link_columns(motion) if links is None else links
+        law = regressor_law(self.chain, self.link_entries)
+        links = law.rows((motion.q, motion.v, motion.a))
         for i, (first, stop) in enumerate(pairwise(self.offsets)):
             own = out[first : stop - 1]
             gains = [x for x in self.gains if x[0] in self.support[i]]
