@@ -38,7 +38,7 @@ from hybrid.diagnosis.answer.regions import (
     locate,
 )
 from hybrid.diagnosis.answer.replay import (
-    _mean_squares,
+    Replay,
     _motions,
     _starts,
     simulated_positions,
@@ -466,8 +466,9 @@ def test_no_region_is_told_of_an_arm_that_stands_or_has_no_gap():
 
 
 def test_a_motion_error_is_at_most_half_a_turn_and_its_start_does_not_count():
-    error = np.array([[[9.0]], [[1.0]], [[np.nan]], [[-50.0]]])
-    found = _mean_squares(error)
+    made = object.__new__(Replay)
+    made._error = lambda *_: np.array([[[9.0]], [[1.0]], [[np.nan]], [[-50.0]]])
+    found = made.squares_of((), step=1e-3)
     assert found == pytest.approx(np.array([[(1.0 + 2 * np.pi**2) / 3]]))
 
 
@@ -542,17 +543,18 @@ class Replayed:
 
     horizon, step = 0.5, 1e-3
     effects = (Coulomb((0,), {"level": 1.0}),)
-    all_terms = frozenset([0])
 
     def __init__(self, before, after):
         self.before, self.after = before, after
         self.scored = SimpleNamespace(gap=SimpleNamespace(robot=pendulum(2)))
 
-    def squares(self, terms, step=None):
-        assert terms == self.all_terms
-        return np.tile([self.after**2, 99.0], (5, 1))
+    def windows_with(self, members):
+        assert members == []
+        return np.arange(5)
 
     def squares_of(self, effects):
+        if effects is self.effects:
+            return np.tile([self.after**2, 99.0], (5, 1))
         self.given = effects
         return np.tile([self.before**2, 99.0], (5, 1))
 
@@ -1087,42 +1089,40 @@ def test_links_that_cannot_exist_become_the_nearest_ones_that_can():
     assert np.sqrt(np.mean(felt**2)) < 0.05 * np.sqrt(np.mean(gap.measured**2))
 
 
-def test_replays_of_the_same_terms_are_simulated_once(monkeypatch):
+def test_replays_of_the_same_effects_are_simulated_once(monkeypatch):
     from hybrid.diagnosis.answer import replay
 
-    made = object.__new__(replay.Replay)
-    made.scored, made.effects, made._errors = None, ("a", "b"), {}
-    ran = []
+    made, ran = object.__new__(Replay), []
+    made.scored, made.motions, made._errors = None, (), {}
+    made.windows = SimpleNamespace(of=lambda motions: 0.0)
+    made.effects = two = ("a", "b")
 
-    def error(effects, step):
+    def rollout(robot, effects, motions, windows, *, step):
         ran.append((tuple(effects), step))
         diverges = step > 3e-4 and len(effects) == 2
         return np.full((3, 1, 1), np.nan if diverges else 0.5)
 
-    monkeypatch.setattr(made, "_error", error)
-    assert made.all_terms == {0, 1} and made.step == 3e-4
-    assert ran == [(("a", "b"), 1e-3), (("a", "b"), 3e-4)]
-    assert made.squares([1]) == pytest.approx(np.array([[0.25]]))
-    assert made.squares([1, 0]) == pytest.approx(np.array([[0.25]]))
+    monkeypatch.setattr(replay, "corrected", lambda scored, effects: (None, effects))
+    monkeypatch.setattr(replay, "rollout", rollout)
+    assert made.step == 3e-4
+    assert ran == [(two, 1e-3), (two, 3e-4)]
+    assert made.squares_of(["b"]) == pytest.approx(np.array([[0.25]]))
+    assert made.squares_of(two) == pytest.approx(np.array([[0.25]]))
     assert ran[2:] == [(("b",), 3e-4)]
-    made.squares([1], step=1e-4)
+    made.squares_of(["b"], step=1e-4)
     assert ran[3:] == [(("b",), 1e-4)]
-    assert made.squares_of(["c"]) == pytest.approx(np.array([[0.25]]))
-    assert ran[-1] == (("c",), 3e-4)
-    none = object.__new__(replay.Replay)
-    none.effects, none._errors = ("a", "b"), {}
-    monkeypatch.setattr(none, "_error", lambda *_: np.array([[[np.nan]]]))
+    none = object.__new__(Replay)
+    none.effects, none._error = two, lambda *_: np.array([[[np.nan]]])
     assert none.step == 1e-3
 
 
 def test_windows_count_in_which_a_term_has_a_hundredth_of_the_most():
-    from hybrid.diagnosis.answer import replay
     from hybrid.plant.rollout import Windows
 
     rows = [np.arange(2, 14)]
     torque = np.zeros(12)
     torque[0:4], torque[4:8], torque[8:12] = 1.0, 0.11, 0.09  # samples 2 to 13
-    made = object.__new__(replay.Replay)
+    made = object.__new__(Replay)
     made.scored = SimpleNamespace(
         gap=SimpleNamespace(fold=np.zeros(14)),
         evidence=SimpleNamespace(rows=rows, noise=np.array([2.0])),

@@ -129,18 +129,17 @@ def test_shares_of_two_links_are_of_the_squares_of_both():
 class Replayed:
     """Squared motion errors by term; windows of two joints and three times."""
 
-    horizon, step, effects = 0.2, 0.002, ()
+    horizon, step = 0.2, 0.002
 
     def __init__(self, worth, halved=1.0):
-        self.worth, self.halved = worth, halved
-        self.all_terms = frozenset(range(len(worth)))
+        self.effects, self.halved = worth, halved
         gap = SimpleNamespace(robot=pendulum(2))
         self.scored = SimpleNamespace(
             gap=gap, left=lambda terms: terms, without=lambda *k: k, before=(), after=()
         )
 
-    def squares(self, terms, step=None):
-        rms = 0.5 - sum(self.worth[k] for k in terms)
+    def squares_of(self, effects, step=None):
+        rms = 0.5 - sum(effects)
         rms = rms * (self.halved if step == self.step / 2 else 1.0)
         return (
             np.tile((rms * np.linspace(0.9, 1.1, 9)[:, None]) ** 2, (1, 2))[:, :, None]

@@ -62,10 +62,8 @@ def with_motion_gap(
 
 
 def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diagnosis:
-    found: list[Finding] = []
-    denied: list[Finding] = []
-    diverged: list[str] = []
-    unknown: list[str] = []
+    found, denied = list[Finding](), list[Finding]()
+    diverged, unknown = list[str](), list[str]()
     for f in result.diagnosis.findings:
         members = result.scored.members(f.effect)
         delays = [e for e in result.delays if e.id == f.effect]
@@ -120,14 +118,7 @@ def motion_shrink(
     """
     if replay.horizon is None:
         return None
-    if delays:
-        joints = [j for e in delays for j in e.joints]
-        again = [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in delays]
-        without = replay.squares_of([*replay.effects, *again])
-        found = replay.squares(replay.all_terms)
-        before, after = (_rms(x, joints) for x in (without, found))
-    else:
-        joints, before, after = _errors(replay, members)
+    joints, before, after = _errors(replay, members, delays)
     return Shrink(
         float(np.median(before)),
         float(np.median(after)),
@@ -152,32 +143,37 @@ def step_warning(replay: Replay) -> list[str]:
     """A warning if half the physics step changes the motion error."""
     if replay.horizon is None:
         return []
-    joints = list(range(replay.scored.gap.robot.size))
-
-    def error(terms: frozenset[int], step: float) -> float:
-        return float(np.median(_rms(replay.squares(terms, step=step), joints)))
-
-    step, bare = replay.step, frozenset[int]()
-    before = error(bare, step)
-    change = max(
-        abs(error(terms, step / 2) - error(terms, step))
-        for terms in {bare, replay.all_terms}
-    )
-    if change <= _STEP_ERROR * before:
+    step, joints = replay.step, range(replay.scored.gap.robot.size)
+    whole, half = (
+        np.array([
+            np.median(_rms(replay.squares_of(effects, step=x), joints))
+            for effects in ((), replay.effects)
+        ])
+        for x in (step, step / 2)
+    )  # fmt: skip
+    change = float(np.abs(half - whole).max())
+    if change <= _STEP_ERROR * whole[0]:
         return []
-    return [_HALVED.format(1e3 * step, change / before)]
+    return [_HALVED.format(1e3 * step, change / whole[0])]
 
 
-def _errors(replay: Replay, members: Sequence[int]) -> tuple[list[int], Array, Array]:
-    """Joints that some terms change, and the motion errors without and with the terms.
+def _errors(
+    replay: Replay, members: Sequence[int], delays: Sequence[Effect] = ()
+) -> tuple[list[int], Array, Array]:
+    """Joints that a finding changes, and the motion errors without and with it.
 
-    Errors are of the windows in which the terms act, shape (W',), [rad].
+    Errors are of the windows in which its terms act, shape (W',), [rad]. Delays are put
+    back into the log, and act in all windows.
     """
     scored, windows = replay.scored, replay.windows_with(members)
-    joints = changed_joints(scored, scored.left(scored.without(*members)))
-    without = replay.squares(replay.all_terms - set(members))
-    found = replay.squares(replay.all_terms)
-    return joints, _rms(without, joints)[windows], _rms(found, joints)[windows]
+    joints = [j for e in delays for j in e.joints]
+    joints = joints or changed_joints(scored, scored.left(scored.without(*members)))
+    without = [e for k, e in enumerate(replay.effects) if k not in members]
+    without += [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in delays]
+    before, after = (
+        _rms(replay.squares_of(x), joints)[windows] for x in (without, replay.effects)
+    )
+    return joints, before, after
 
 
 def _rms(squares: Array, joints: Sequence[int]) -> Array:
