@@ -8,7 +8,6 @@ import pytest
 from pendulum import gap_of, pendulum, with_torque
 
 from hybrid.diagnosis import diagnose as diagnose_module
-from hybrid.diagnosis import verdict as verdict_module
 from hybrid.diagnosis.answer import command, events, motion_gap
 from hybrid.diagnosis.answer.command import Link, _excess, _plausible, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Shrink, Unseen
@@ -886,12 +885,10 @@ def test_the_gap_unseen_is_an_rms_before_and_after_and_at_its_ceiling(monkeypatc
 # --- the verdict ----------------------------------------------------------------------
 
 
-def verdict(explained, missed, causes=("f",), left=0.0, *, doubtful=False, little=None):
+def verdict(explained, missed, causes=("f",), left=0.0, *, doubtful=False):
     explained, missed = np.array(explained, float), np.array(missed, float)
     found = Account(explained + missed, missed, 0 * missed, missed, ())
-    with pytest.MonkeyPatch.context() as m:
-        m.setattr(verdict_module, "too_little_motion", lambda gap: little)
-        return verdict_of(None, found, causes, left, doubtful=doubtful)
+    return verdict_of(found, causes, left, doubtful=doubtful)
 
 
 def test_a_gap_is_explained_where_nothing_is_missed():
@@ -901,7 +898,6 @@ def test_a_gap_is_explained_where_nothing_is_missed():
     assert verdict([9.0], [0.0], left=0.11) == ("partly_explained", 0.11)
     assert verdict([9.0], [0.0], doubtful=True) == ("partly_explained", 0.0)
     assert verdict([1.0], [9.0])[0] == "partly_explained"
-    assert verdict([9.0], [0.0], little="short") == ("not_excited", 1.0)
 
 
 def test_without_a_cause_a_gap_is_unexplained_if_anything_is_missed():
@@ -915,9 +911,7 @@ def test_causes_of_other_joints_do_not_explain_a_joint():
     for part, word in ((0.055, "partly_explained"), (0.045, "explained")):
         found = Account(np.array([1e4, 1.0]), np.array([0.0, 1.0]),
                         np.array([0.0, 1.0 - part]), np.ones(2), ())  # fmt: skip
-        with pytest.MonkeyPatch.context() as m:
-            m.setattr(verdict_module, "too_little_motion", lambda gap: None)
-            assert verdict_of(None, found, ("f",), 0.0, doubtful=False)[0] == word
+        assert verdict_of(found, ("f",), 0.0, doubtful=False)[0] == word
     mostly = verdict([1.0, 0.06], [0.0, 0.05])  # more of it is explained
     assert mostly[0] == "explained"
 

@@ -613,6 +613,7 @@ class TestSilence:
         robot, recordings = logs([STRIBECK], duration=2.0, count=1)
         diagnosis = examine(robot, recordings).diagnosis
         assert diagnosis.verdict == "not_excited"
+        assert diagnosis.unexplained == 1.0
         assert any("3 s or more" in w for w in diagnosis.doubts)
 
     @pytest.mark.study

@@ -521,7 +521,7 @@ def test_parts_of_a_servo_s_log_have_its_samples():
     gap = measure_gap(pendulum(), logs, cutoff=10.0)
     (log,) = servo_logs(gap, logs)
     use = np.arange(len(gap.left)) % 3 == 0
-    part = log.only(use)
+    part = log.at(use[log.row])
     assert (part.row % 3 == 0).all() and len(part.row) == (log.row % 3 == 0).sum()
     np.testing.assert_array_equal(part.own, log.own[log.row % 3 == 0])
     step = len(log.row) // 2000

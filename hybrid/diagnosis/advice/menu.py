@@ -28,6 +28,7 @@ from hybrid.excitation.experiments import (
 from hybrid.identification.preparation import STANDING
 from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
+from hybrid.robot.spatial import inertial_about
 from hybrid.signals import Motion, Sampler
 
 _SAME_POSTURE = 0.01  # rad or m
@@ -95,21 +96,13 @@ class Envelope:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A motion to run, with its conditions.
+    """A motion to run, with its conditions."""
 
-    Attributes:
-        name: Name, as it follows the word "run".
-        reference: The motion.
-        start: Time since the drives were switched on, [s].
-        mass: Payload at the centre of mass of the last link, [kg].
-        gains: Whether to run it with other servo gains as well.
-    """
-
-    name: str
+    name: str  # as it follows the word "run"
     reference: Reference
-    start: float = 0.0
-    mass: float = 0.0
-    gains: bool = False
+    start: float = 0.0  # time since the drives were switched on, [s]
+    mass: float = 0.0  # payload at the centre of mass of the last link, [kg]
+    gains: bool = False  # whether to run it with other servo gains as well
 
     @property
     def plain(self) -> bool:
@@ -160,28 +153,23 @@ class Menu:
     @cached_property
     def of_all_joints(self) -> tuple[Experiment, ...]:
         """Experiments that move all joints."""
-        robot, rate = self._robot, self._rate
-
-        def tones(k: int) -> Reference:
-            fill, posture = 0.5 * _SMALLER**k, self._posture(k)
-            return multisine(
-                robot, fill=fill, posture=posture, seed=self._rng, rate=rate
-            )
-
-        motions: dict[str, Callable[[int], Reference]] = {
-            "one path of all joints at 0.5, 1 and 2 times its speed": lambda k: (
-                concatenated(at_speeds(robot, self._path(10.0, 0.2, k)))
+        robot, rate, path = self._robot, self._rate, self._path
+        return (
+            *self._if_safe(
+                "one path of all joints at 0.5, 1 and 2 times its speed",
+                lambda k: concatenated(at_speeds(robot, path(10.0, 0.2, k))),
             ),
-            "moves between poses all over the workspace, with a rest in each": (
-                lambda _: static_poses(robot, self._poses(), hold=0.5, rate=rate)
+            *self._if_safe(
+                "moves between poses all over the workspace, with a rest in each",
+                lambda _: static_poses(robot, self._poses(), hold=0.5, rate=rate),
             ),
-            "a multisine of all joints from 0.2 to 5 Hz": tones,
-            "a fast random motion of all joints over most of their range": (
-                lambda k: self._path(20.0, 0.8, k)
+            *self._if_safe("a multisine of all joints from 0.2 to 5 Hz", self._tones),
+            *self._if_safe(
+                "a fast random motion of all joints over most of their range",
+                lambda k: path(20.0, 0.8, k),
             ),
-        }
-        found = [x for name in motions for x in self._if_safe(name, motions[name])]
-        return (*found, *self._prepared())
+            *self._prepared(),
+        )
 
     def _prepared(self) -> tuple[Experiment, ...]:
         """Experiments that need preparation: warm drives, other gains or a payload."""
@@ -232,6 +220,12 @@ class Menu:
         # Motions take a joint by its name, or by its number from 1 as text.
         one = partial(make, self._robot, str(joint + 1), rate=self._rate, **more)
         return lambda k: one(posture=self._posture(k))
+
+    def _tones(self, k: int) -> Reference:
+        fill, posture = 0.5 * _SMALLER**k, self._posture(k)
+        return multisine(
+            self._robot, fill=fill, posture=posture, seed=self._rng, rate=self._rate
+        )
 
     def _random(self, k: int) -> Reference:
         return self._path(20.0, 0.6, k)
@@ -288,9 +282,8 @@ class Menu:
 def with_payload(robot: Robot, mass: float) -> Robot:
     """The arm with a payload at the centre of mass of its last link, [kg]."""
     inertial = robot.chain.inertial.copy()
-    x, y, z = inertial[-1, 1:4] / max(inertial[-1, 0], 1e-9)
-    squares = [y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]
-    inertial[-1] += mass * np.array([1.0, x, y, z, *squares])
+    center = inertial[-1, 1:4] / max(inertial[-1, 0], 1e-9)
+    inertial[-1] += inertial_about(mass, center, np.zeros((3, 3)))
     return robot.with_inertial(inertial)
 
 
@@ -311,7 +304,7 @@ def gap_along(gap: Gap, experiment: Experiment) -> Gap:
     if logged is not None:
         warm = logged.max(axis=0) + _WARM_RISE
         level = warm if experiment.start else logged.min(axis=0)
-        temperature = np.broadcast_to(level, q.shape).copy()
+        temperature = np.tile(level, (len(t), 1))
     t = experiment.start + t
     motion = Motion(t, q, v, a, 0 * q, mask, temperature, robot.joints)
     body = RigidBody(robot.chain, motion)

@@ -31,24 +31,16 @@ _LONG_WAVES = 6  # per turn
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """One of two explanations, fitted to the recordings.
+    """One of two explanations, fitted to the recordings."""
 
-    Attributes:
-        candidate: The effect in which it differs, with fitted gains.
-        others: The effects that both rivals share.
-        gains: Gains of the background, of the shared effects and of its own effect, and
-            small changes of its shapes, shape (k,).
-        precision: Inverse posterior covariance of these, shape (k, k).
-        prior: Inverse prior variance of what both share, shape (s,).
-        evidence: Log evidence of its own effect on the recordings, [nat].
-    """
-
-    candidate: Candidate
-    others: tuple[Candidate, ...]
+    candidate: Candidate  # the effect in which it differs, with fitted gains
+    others: tuple[Candidate, ...]  # the effects that both rivals share
+    # Gains of the background, of the shared effects and of its own effect, and small
+    # changes of its shapes, shape (k,).
     gains: Array
-    precision: Array
-    prior: Array
-    evidence: float
+    precision: Array  # inverse posterior covariance of these, shape (k, k)
+    prior: Array  # inverse prior variance of what both share, shape (s,)
+    evidence: float  # log evidence of its own effect on the recordings, [nat]
 
     @property
     def effect(self) -> Effect:
@@ -88,11 +80,13 @@ def required_evidence(evidence: float) -> float:
 def tried_shapes(search: Search) -> list[Candidate]:
     """Candidates with all shapes that a search has tried, and with long waves."""
     tried = [t.candidate for t in search.pool.tried]
-    for c in list({c.place: c for c in tried}.values()):
-        for wave in (s.name for s in c.effect.shapes if s.unit == "1/turn"):
-            long = (c.effect.at({wave: k}) for k in range(1, _LONG_WAVES + 1))
-            tried += [c.at(effect) for effect in long]
-    return tried
+    waves = [
+        c.at(c.effect.at({s.name: k}))
+        for c in {c.place: c for c in tried}.values()
+        for s in c.effect.shapes if s.unit == "1/turn"
+        for k in range(1, _LONG_WAVES + 1)
+    ]  # fmt: skip
+    return [*tried, *waves]
 
 
 class Outlook(Evidence):

@@ -37,13 +37,10 @@ _LEAST_FALL = 0.01  # of the squares of the residual
 
 @dataclass(frozen=True, eq=False)
 class Link(ExtraFindings):
-    """Findings between command and torque.
+    """Findings between command and torque."""
 
-    Attributes:
-        excess: Squares above noise of the servo laws without the effects found, by
-            block of time, shape (B, n), in units of noise; 0 without findings.
-    """
-
+    # Squares above noise of the servo laws without the effects found, by block of time,
+    # shape (B, n), in units of noise; 0 without findings.
     excess: Array
 
 
@@ -136,7 +133,7 @@ def _fitted_servo(
     kinds: Sequence[type[Effect]],
 ) -> _Servo | None:
     """Fit the servo of a joint; None if no law explains its torque."""
-    train, held_out = log.only(learn), log.only(test)
+    train, held_out = (log.at(x[log.row]) for x in (learn, test))
     if min(len(train.row), len(held_out.row)) < FEWEST:
         return None
     free = list(laws())

@@ -25,17 +25,11 @@ _REPLACES = " It takes the place of the {} friction that the file declares."
 
 @dataclass(frozen=True, eq=False)
 class ExtraFindings:
-    """Findings that are not terms of the search.
+    """Findings that are not terms of the search."""
 
-    Attributes:
-        findings: Findings; their shares sum to 1.
-        effects: The effects found, joint by joint.
-        squares: Squares that they explain at each joint, shape (n,), in units of noise.
-    """
-
-    findings: tuple[Finding, ...]
-    effects: tuple[Effect, ...]
-    squares: Array
+    findings: tuple[Finding, ...]  # their shares sum to 1
+    effects: tuple[Effect, ...]  # the effects found, joint by joint
+    squares: Array  # that they explain at each joint, shape (n,), in units of noise
 
     def merged(
         self, others: Sequence[Finding], explained: float

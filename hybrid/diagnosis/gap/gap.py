@@ -32,42 +32,28 @@ class Gap:
     """Measured less simulated torque along some motions, filtered and decimated.
 
     M is the number of decimated samples of all motions, stacked.
-
-    Attributes:
-        robot: The simulator that is diagnosed.
-        motions: Motions with the simulated torque, of about twelve samples in a period
-            of the cut-off or the rate of the log. Columns made from the measured torque
-            would explain its noise.
-        bodies: The simulator's rigid body along each motion.
-        cutoff: Cut-off of the low-pass filter, [Hz].
-        period: Time between two samples of the logs, [s].
-        left: The gap, shape (M, n), [N·m].
-        moving: Whether a sample is used: the joint moves and the mask allows it,
-            shape (M, n).
-        fold: Cross-validation fold of each sample, shape (M,): blocks of 3 s or less.
-            What acts in one trajectory only is in several folds.
-        trajectory: Recording of each sample, shape (M,).
-        notes: Which samples are not used, and why, in words.
-        healthy: Torque of a healthy arm that was subtracted from the logs before, along
-            each motion, shape (N, n), [N·m]; empty without one.
-        joins: The gaps whose motions it has, one after the other; empty for one that
-            was measured.
-        position_cutoff: Frequency above which positions hold more noise than motion,
-            [Hz]; the cut-off by default.
     """
 
-    robot: Robot
+    robot: Robot  # the simulator that is diagnosed
+    # With the simulated torque, of about twelve samples in a period of the cut-off or
+    # the rate of the log. Columns of the measured torque would explain its noise.
     motions: tuple[Motion, ...]
-    bodies: tuple[RigidBody, ...]
-    cutoff: float
-    period: float
-    left: Array
-    moving: Mask
+    bodies: tuple[RigidBody, ...]  # of the simulator, along each motion
+    cutoff: float  # of the low-pass filter, [Hz]
+    period: float  # time between two samples of the logs, [s]
+    left: Array  # the gap, shape (M, n), [N·m]
+    moving: Mask  # whether the joint moves and the mask allows it, shape (M, n)
+    # Cross-validation fold of each sample, shape (M,): blocks of 3 s or less. What acts
+    # in one trajectory only is in several folds.
     fold: Index
-    trajectory: Index
-    notes: tuple[str, ...] = ()
+    trajectory: Index  # recording of each sample, shape (M,)
+    notes: tuple[str, ...] = ()  # which samples are not used, and why
+    # Torque of a healthy arm that was subtracted from the logs before, along each
+    # motion, shape (N, n), [N·m]; empty without one.
     healthy: tuple[Array, ...] = ()
-    joins: tuple[Gap, ...] = ()
+    joins: tuple[Gap, ...] = ()  # whose motions it has, in order; empty if measured
+    # Frequency above which positions hold more noise than motion, [Hz]; the cut-off by
+    # default.
     position_cutoff: float = 0.0
     _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 
@@ -166,12 +152,12 @@ class Gap:
         """See :meth:`columns`; whether or not the recordings allow the law."""
         gains = effect.gains if effect.linearised or effect.steep else ()
         values = tuple(effect.values[x.name] for x in (*gains, *effect.shapes))
-        key = type(effect), effect.joints, values, lower_band
-        if key not in self._kept:
-            if len(self._kept) == _KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = self._evaluated(effect, lower_band)
-        return self._kept[key]
+        key, kept = (type(effect), effect.joints, values, lower_band), self._kept
+        if key not in kept:
+            if len(kept) == _KEPT:
+                kept.pop(next(iter(kept)))
+            kept[key] = self._evaluated(effect, lower_band)
+        return kept[key]
 
     def _evaluated(self, effect: Effect, lower_band: bool) -> Columns:
         """See :meth:`columns`; shape (M, p) at each joint."""

@@ -138,9 +138,9 @@ def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
 
 def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Faults:
     """Faults at the samples of a motion, and within reach of the filter."""
-    N, n = motion.tau.shape
     if isinstance(recording, Motion):
-        return Faults(np.zeros(N, dtype=bool), np.zeros((N, n), dtype=bool), ())
+        none = np.zeros(motion.tau.shape, dtype=bool)
+        return Faults(none.any(axis=1), none, ())
     found = find_faults(recording.in_order(motion.joints))
     near = np.clip(np.searchsorted(recording.t, motion.t), 0, len(recording.t) - 1)
     both = np.column_stack([found.posture, found.torque])[near]
