@@ -10,7 +10,8 @@ import pytest
 from coarse import Plant
 from simulated import arm
 
-from hybrid.diagnosis.advice.advise import advise, choose
+from hybrid.diagnosis.advice import advise as advise_module
+from hybrid.diagnosis.advice.advise import Plan, advise
 from hybrid.diagnosis.advice.menu import Experiment, Menu, concatenated, gap_along
 from hybrid.diagnosis.advice.separation import (
     Discrimination,
@@ -276,10 +277,10 @@ class Foreseen:
         found = diagnosed.planar().gap.robot
         self.menu = Menu(found, np.random.default_rng(0), rate=100.0)
 
-    def about(self, joint, *, warm):
-        return [x for x in self.menu.about(joint) if warm or not x.start]
+    def about(self, joint):
+        return self.menu.about(joint)
 
-    def __getitem__(self, experiment):
+    def tell(self, experiment):
         told = [x for k, x in self.told.items() if k in experiment.name] or [(0, 0)]
         return SimpleNamespace(
             separation=lambda *_: 100.0 if any(told[0]) else 0.0,
@@ -290,6 +291,10 @@ class Foreseen:
 def rivals_named(*ids):
     named = [SimpleNamespace(id=x) for x in ids]
     return tuple(SimpleNamespace(effect=x, evidence=100.0) for x in named)
+
+
+def choose(foreseen, *given):
+    return advise_module.choose(foreseen, foreseen.tell, *given)
 
 
 KINDS = ("times", "ladder", "reversals", "poses", "multisine", "fast", "mass", "warm")
@@ -338,14 +343,12 @@ def test_late_commands_are_told_from_wrong_gains_by_other_gains():
 
 
 def test_what_tells_the_same_effects_at_two_joints_is_said_once(monkeypatch):
-    import sys
-
-    module, result = sys.modules["hybrid.diagnosis.advice.advise"], diagnosed.planar()
+    result = diagnosed.planar()
     menu = Menu(result.gap.robot, np.random.default_rng(0), rate=100.0)
     (warm,) = [x for x in menu.of_all_joints if x.start]
     splits = ("viscous", "thermal_friction")
-    plans = [module.Plan(Advice("run it", splits, x), warm) for x in (3.0, 9.0)]
-    monkeypatch.setattr(module, "_between", lambda *_: iter(plans))
+    plans = [Plan(Advice("run it", splits, x), warm) for x in (3.0, 9.0)]
+    monkeypatch.setattr(advise_module, "_between", lambda *_: iter(plans))
     sound = replace(result.diagnosis, verdict="explained", not_excited=(), findings=())
     advised = advise(replace(result, diagnosis=sound), np.random.default_rng(0))
     assert [x.separation for x in advised] == [9.0]

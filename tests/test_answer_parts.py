@@ -17,10 +17,10 @@ from hybrid.diagnosis.answer.findings import (
     finding_of,
     findings,
     fitted_values,
+    shrunk,
     torque_shrink,
 )
 from hybrid.diagnosis.answer.fixed import _servo_notes, fixed_model, fixed_simulator
-from hybrid.diagnosis.answer.intervals import shrunk
 from hybrid.diagnosis.answer.links import delay_finding
 from hybrid.diagnosis.answer.motion_gap import (
     _in_motion,

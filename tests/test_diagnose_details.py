@@ -14,7 +14,7 @@ from hybrid.diagnosis.advice.menu import Experiment, gap_along
 from hybrid.diagnosis.answer.command import _gain_errors, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.intervals import shrunk
+from hybrid.diagnosis.answer.findings import shrunk
 from hybrid.diagnosis.answer.simulator import corrected
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import _Clock

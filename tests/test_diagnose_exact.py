@@ -9,8 +9,7 @@ from pendulum import NOISE, RATE, pendulum, swings, with_torque
 
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region
-from hybrid.diagnosis.answer.findings import finding_of
-from hybrid.diagnosis.answer.intervals import interval, shrunk
+from hybrid.diagnosis.answer.findings import finding_of, interval, shrunk
 from hybrid.diagnosis.answer.links import merged_links
 from hybrid.diagnosis.answer.motion_gap import (
     motion_shrink,

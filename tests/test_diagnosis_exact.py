@@ -9,8 +9,7 @@ from pendulum import NOISE, RATE, gap_of, pendulum, swings, with_torque
 
 from hybrid.diagnosis.answer.diagnosis import Region, Value
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.findings import finding_of, implausible
-from hybrid.diagnosis.answer.intervals import interval, shrunk
+from hybrid.diagnosis.answer.findings import finding_of, implausible, interval, shrunk
 from hybrid.diagnosis.answer.links import merged_links
 from hybrid.diagnosis.answer.motion_gap import (
     motion_shrink,

@@ -628,7 +628,7 @@ def advised(rivals, plans):
     """Plans for some pairs, of stated choices; and what was fitted and asked."""
     fitted, asked = [], []
 
-    def choose(discriminations, joints, both, chosen):
+    def choose(menu, told, joints, both, chosen):
         asked.append((joints, both, id(chosen)))
         return plans.pop(0)
 
@@ -643,7 +643,7 @@ def advised(rivals, plans):
         )  # fmt: skip
         m.setattr(advise_module, "choose", choose)
         m.setattr(advise_module, "_placed", lambda search, plan, both: ("placed", plan))
-        found = list(_between(result, None))
+        found = list(_between(result, None, None))
     return found, fitted, asked
 
 

@@ -272,15 +272,11 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
 def _drop_improbable(
     search: Search, doubts: list[str]
 ) -> tuple[dict[Cause, dict[str, float]], dict[Term, tuple[Candidate, ...]]]:
-    """Remove causes from a search that are less probable than an unknown law.
-
-    Those of an uncertain joint are added to ``doubts``.
-
-    Returns:
-        The effects that may be in each cause's place at its joint, with their
-        probabilities, its own first; and the rivals of each: these alternatives, the
-        most probable one at another joint, and those that only priors tell from it.
-    """
+    """Remove causes from a search that are less probable than an unknown law."""
+    # Those of an uncertain joint are added to ``doubts``. Returns: The effects that may
+    # be in each cause's place at its joint, with their probabilities, its own first;
+    # and the rivals of each: these alternatives, the most probable one at another
+    # joint, and those that only priors tell from it.
     beliefs = [b for b in search.beliefs if b.worth > 0 and is_known(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]

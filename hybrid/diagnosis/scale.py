@@ -73,21 +73,22 @@ def _check_payloads(robot: Robot, known: Mapping[str, float]) -> None:
 
 def in_doubt(diagnosis: Diagnosis) -> Diagnosis:
     """The same with intervals of masses that allow for an error of the drive gains."""
-    found = []
-    for f in diagnosis.findings:
-        law = effect_class(f.effect)
-        if law.weighed:
-            name, gain = law.weighed
-            spread = effect_class(gain).gains[0].deviation
-            values = [_scaled(law, v, 1.0, spread) for v in f.parameters]
-            notes = [
-                _DOUBT.format(*value_cells(wide)[:2], spread, value_cells(v)[1])
-                for v, wide in zip(f.parameters, values, strict=True)
-                if v.name == name
-            ]
-            f = replace(f, parameters=tuple(values), note=" ".join(notes))
-        found.append(f)
-    return replace(diagnosis, findings=tuple(found))
+    return replace(diagnosis, findings=tuple(map(_doubted, diagnosis.findings)))
+
+
+def _doubted(finding: Finding) -> Finding:
+    law = effect_class(finding.effect)
+    if law.weighed is None:
+        return finding
+    name, gain = law.weighed
+    spread = effect_class(gain).gains[0].deviation
+    values = [_scaled(law, v, 1.0, spread) for v in finding.parameters]
+    notes = [
+        _DOUBT.format(*value_cells(wide)[:2], spread, value_cells(v)[1])
+        for v, wide in zip(finding.parameters, values, strict=True)
+        if v.name == name
+    ]
+    return replace(finding, parameters=tuple(values), note=" ".join(notes))
 
 
 def settled(
@@ -161,10 +162,8 @@ def _in_true_units(
 
 
 def _scaled(law: type[Effect], v: Value, scale: float, spread: float) -> Value:
-    """A gain over a scale that has a relative standard deviation, or a shape as it is.
-
-    Their errors are taken to be independent.
-    """
+    """A gain over a scale with a relative standard deviation; a shape as it is."""
+    # Their errors are taken to be independent.
     if v.name not in {g.name for g in law.gains}:
         return v
     more = HALF_WIDTH * spread * v.value

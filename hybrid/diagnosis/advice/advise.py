@@ -1,7 +1,7 @@
 """Advise experiments that distinguish candidate effects."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -55,6 +55,9 @@ _ISOLATING = (
 )
 
 
+_Told = Callable[[Experiment], Discrimination]
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Advice with its experiment, before anything is written."""
@@ -83,7 +86,9 @@ def advise(
     """
     rate = min(_RATE, 1.0 / result.gap.period)
     menu = Menu(result.gap.robot, rng, rate=rate)
-    between = _between(result, Discriminations(result, menu))
+    search = result.search
+    told = cache(partial(_discrimination, search, decimated(search.gap)))
+    between = _between(result, menu, told)
     plans = [
         *sorted(between, key=lambda plan: -plan.advice.separation),
         *(_for_unexplained(result, menu) or _for_unforetold(result, menu)),
@@ -121,29 +126,15 @@ def _caution(gap: Gap, experiment: Experiment) -> str:
     return _CAUTION.format(deeper) if deeper > _DEEPER else ""
 
 
-class Discriminations:
-    """The discrimination of each experiment of a menu, made on demand."""
-
-    def __init__(self, result: Result, menu: Menu) -> None:
-        self._search, self._menu = result.search, menu
-        self._recorded = decimated(result.search.gap)
-        self._known: dict[Experiment, Discrimination] = {}
-
-    def about(self, joint: int, *, warm: bool) -> list[Experiment]:
-        """Experiments that move a joint; those with warm drives only if ``warm``."""
-        found = self._menu.about(joint)
-        return [x for x in found if not x.gains and (warm or x.start == 0)]
-
-    def __getitem__(self, experiment: Experiment) -> Discrimination:
-        if experiment not in self._known:
-            ahead = gap_along(self._search.gap, experiment)
-            recorded = self._recorded if experiment.mass == 0 else None
-            found = Discrimination(self._search, ahead, recorded)
-            self._known[experiment] = found
-        return self._known[experiment]
+def _discrimination(
+    search: Search, recorded: Gap, experiment: Experiment
+) -> Discrimination:
+    """The discrimination of an experiment; one with a payload is diagnosed alone."""
+    ahead = gap_along(search.gap, experiment)
+    return Discrimination(search, ahead, None if experiment.mass else recorded)
 
 
-def _between(result: Result, discriminations: Discriminations) -> Iterator[Plan]:
+def _between(result: Result, menu: Menu, told: _Told) -> Iterator[Plan]:
     """An experiment for each pair of a term and a candidate that explains as much."""
     search, joints = result.search, result.gap.robot.joints
     pairs = [(term, c) for term, others in result.rivals.items() for c in others]
@@ -160,7 +151,7 @@ def _between(result: Result, discriminations: Discriminations) -> Iterator[Plan]
             continue
         both = rival(term, term.candidate), rival(term, other)
         at = dict.fromkeys(c.place[1][-1] for c in (term, other))
-        plan = choose(discriminations, tuple(at), both, chosen[term])
+        plan = choose(menu, told, tuple(at), both, chosen[term])
         if plan is not None:
             yield plan if len(at) == 1 else _placed(search, plan, (term, other))
 
@@ -176,7 +167,8 @@ def _placed(search: Search, plan: Plan, both: Sequence[Term | Candidate]) -> Pla
 
 
 def choose(
-    discriminations: Discriminations,
+    menu: Menu,
+    told: _Told,
     joints: Sequence[int],
     rivals: tuple[Rival, Rival],
     chosen: list[Experiment],
@@ -190,20 +182,20 @@ def choose(
     """
     splits = rivals[0].effect.id, rivals[1].effect.id
     warm = any(effect_class(x).warms for x in splits)
-    about = (x for j in joints for x in discriminations.about(j, warm=warm))
-    menu = list(dict.fromkeys(about))
+    about = dict.fromkeys(x for j in joints for x in menu.about(j) if not x.gains)
     known = [x for x in chosen if x.plain]
-    plain = [x for x in menu if x.plain and x not in known]
+    plain = [x for x in about if x.plain and x not in known]
+    prepared = [x for x in about if not x.plain and (warm or x.start == 0)]
     least = (_MARGIN - 1) * required_evidence(rivals[0].evidence)
     one: tuple[float, Plan | None] = _MARGIN, None
-    for tried in (known, plain, [x for x in menu if not x.plain]):
-        sizes = [discriminations[x].separation(*rivals) for x in tried]
+    for tried in (known, plain, prepared):
+        sizes = [told(x).separation(*rivals) for x in tried]
         both: tuple[float, Plan | None] = _MARGIN, None
         for k in np.argsort(sizes)[: -_SHORTLIST - 1 : -1]:
             # Half the square is an upper bound of the evidence.
             if sizes[k] ** 2 / 2 < least:
                 break
-            contrast = discriminations[tried[k]].contrast(*rivals)
+            contrast = told(tried[k]).contrast(*rivals)
             text = _run(tried[k])
             if min(contrast) > both[0]:
                 both = min(contrast), Plan(Advice(text, splits, sizes[k]), tried[k])
@@ -232,10 +224,8 @@ def _for_unexplained(result: Result, menu: Menu) -> tuple[Plan, ...]:
 
 
 def _for_unforetold(result: Result, menu: Menu) -> tuple[Plan, ...]:
-    """A wide motion, if these logs are explained but do not foretell held-out motion.
-
-    The values of the causes are not well known then, and other motion tells them.
-    """
+    """A wide motion, if logs are explained but do not foretell held-out motion."""
+    # The values of the causes are not well known then, and other motion tells them.
     unseen = result.diagnosis.unseen
     if unseen is None or not result.diagnosis.findings:
         return ()

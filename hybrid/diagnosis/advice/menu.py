@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Self
 
 import numpy as np
 
@@ -43,58 +42,6 @@ _PAYLOADS = (0.5, 0.25, 0.125)  # times the median mass of a link
 
 
 @dataclass(frozen=True, eq=False)
-class Envelope:
-    """80 % of the limits in a robot file, and the clearance of its links."""
-
-    robot: Robot
-    limits: Limits
-    # Clearance of 1 cm between links; None if the file has no geometry.
-    clearance: Clearance | None
-
-    @classmethod
-    def of(cls, robot: Robot) -> Self:
-        """Make the envelope of a robot."""
-        limits, clearance = Limits.of(robot), None
-        with warnings.catch_warnings(), suppress(RobotError):  # no geometry
-            # Links that touch in most postures are left out.
-            warnings.simplefilter("ignore", HybridWarning)
-            clearance = Clearance.of(robot, limits)
-        return cls(robot, limits, clearance)
-
-    def first_safe(
-        self, make: Callable[[int], Reference], robot: Robot | None = None
-    ) -> Reference:
-        """The first safe motion of tries from 0 on, of an arm that may have a payload.
-
-        Raises:
-            ExcitationError: No try is safe.
-        """
-        for k in range(_TRIES):
-            try:
-                return self.checked(make(k), robot)
-            except ExcitationError as error:
-                failed = error
-        raise failed
-
-    def checked(self, reference: Reference, robot: Robot | None = None) -> Reference:
-        """The reference, if it is safe for the arm, which may have a payload.
-
-        Raises:
-            ExcitationError: A limit is exceeded, or two links come too close.
-        """
-        checked(robot or self.robot, reference, self.limits)
-        if self.clearance is None or not len(self.clearance.pairs):
-            return reference
-        postures = np.round(reference.q / _SAME_POSTURE)
-        _, first = np.unique(postures, axis=0, return_index=True)
-        worst = self.clearance.excess(path_from_reference(reference).at(first))
-        if (worst > 0).any():
-            name = self.clearance.names[int(worst.max(axis=0).argmax())]
-            raise ExcitationError(f"{name}; valid is a motion with more room")
-        return reference
-
-
-@dataclass(frozen=True, eq=False)
 class Experiment:
     """A motion to run, with its conditions."""
 
@@ -115,17 +62,52 @@ class Experiment:
 
 
 class Menu:
-    """Experiments with an arm that its limits and its links allow.
+    """Experiments with an arm, within 80 % of its limits and clear of its links.
 
-    Args:
-        robot: The arm.
-        rng: Random generator of motions.
-        rate: Samples per second of the references, [Hz].
+    Motions are drawn by ``rng``; ``rate`` is that of the references, [Hz].
     """
 
     def __init__(self, robot: Robot, rng: np.random.Generator, *, rate: float) -> None:
         self._robot, self._rng, self._rate = robot, rng, rate
         self._of_joint: dict[int, tuple[Experiment, ...]] = {}
+        self.limits = Limits.of(robot)
+
+    @cached_property
+    def clearance(self) -> Clearance | None:
+        """Clearance of 1 cm between links; None if the file has no geometry."""
+        with warnings.catch_warnings(), suppress(RobotError):
+            # Links that touch in most postures are left out.
+            warnings.simplefilter("ignore", HybridWarning)
+            return Clearance.of(self._robot, self.limits)
+        return None
+
+    def first_safe(
+        self, make: Callable[[int], Reference], robot: Robot | None = None
+    ) -> Reference:
+        """The first safe motion of tries from 0 on; see :meth:`checked`."""
+        for k in range(_TRIES):
+            try:
+                return self.checked(make(k), robot)
+            except ExcitationError as error:
+                failed = error
+        raise failed
+
+    def checked(self, reference: Reference, robot: Robot | None = None) -> Reference:
+        """The reference, if it is safe for the arm, which may have a payload.
+
+        Raises:
+            ExcitationError: A limit is exceeded, or two links come too close.
+        """
+        checked(robot or self._robot, reference, self.limits)
+        if self.clearance is None or not len(self.clearance.pairs):
+            return reference
+        postures = np.round(reference.q / _SAME_POSTURE)
+        _, first = np.unique(postures, axis=0, return_index=True)
+        worst = self.clearance.excess(path_from_reference(reference).at(first))
+        if (worst > 0).any():
+            name = self.clearance.names[int(worst.max(axis=0).argmax())]
+            raise ExcitationError(f"{name}; valid is a motion with more room")
+        return reference
 
     def about(self, joint: int) -> tuple[Experiment, ...]:
         """Experiments that move a joint."""
@@ -135,18 +117,8 @@ class Menu:
             self._of_joint[joint] = (*self.ladder(joint, longest=2.0), *small)
         return (*self._of_joint[joint], *self.of_all_joints)
 
-    @cached_property
-    def envelope(self) -> Envelope:
-        """Limits and clearance of the arm."""
-        return Envelope.of(self._robot)
-
     def ladder(self, joint: int, *, longest: float = 4.0) -> tuple[Experiment, ...]:
-        """Motions of a joint at many speeds in both directions, if there is room.
-
-        Args:
-            joint: The joint.
-            longest: Longest time at one speed, [s].
-        """
+        """Motions of a joint at many speeds, each for ``longest`` s at most."""
         name = f"a ladder of speeds of {self._robot.joints[joint]}, up and down"
         return self._if_safe(name, self._of_one(speed_ladder, joint, longest=longest))
 
@@ -208,7 +180,7 @@ class Menu:
         """The experiment, if the arm has enough room, speed and torque for it."""
         arm = with_payload(self._robot, mass) if mass else self._robot
         try:
-            reference = self.envelope.first_safe(make, arm)
+            reference = self.first_safe(make, arm)
         except HybridError:
             return ()
         return (Experiment(name, reference, start, mass, gains),)
@@ -247,21 +219,21 @@ class Menu:
 
     def _random_posture(self, part: float) -> Array:
         """A random posture within a part of the range about its middle."""
-        x = self.envelope.limits
+        x = self.limits
         offset = part * self._rng.uniform(-1, 1, self._robot.size)
         return np.asarray((x.low + x.high + offset * (x.high - x.low)) / 2)
 
     def _poses(self) -> Array:
         """Poses with safe straight moves from each to the next, and to the first."""
-        first = self.envelope.first_safe(
+        first = self.first_safe(
             lambda k: self._move(self._random_posture(0.6 if k else 0.0))
         )
         poses = [first.q[0]]
         for _ in range(_DRAWS):
             goal = self._random_posture(0.85)
             try:
-                self.envelope.checked(self._move(poses[-1], goal))
-                self.envelope.checked(self._move(goal, poses[0]))
+                self.checked(self._move(poses[-1], goal))
+                self.checked(self._move(goal, poses[0]))
             except HybridError:
                 continue
             poses.append(goal)
@@ -274,7 +246,7 @@ class Menu:
     def _move(self, *poses: Array) -> Reference:
         walk = Walk(poses[0])
         for goal in poses[1:]:
-            walk.move(goal, self.envelope.limits)
+            walk.move(goal, self.limits)
         walk.wait(0.1)
         return walk.reference(_CHECK_RATE)
 

@@ -11,8 +11,12 @@ import numpy as np
 
 from hybrid.arrays import Array, Mask
 from hybrid.diagnosis.answer.diagnosis import Finding
-from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, fitted_values
-from hybrid.diagnosis.answer.intervals import shrunk
+from hybrid.diagnosis.answer.findings import (
+    ExtraFindings,
+    finding_of,
+    fitted_values,
+    shrunk,
+)
 from hybrid.diagnosis.explanations.servo_fit import (
     WORTH,
     Fit,
@@ -98,11 +102,9 @@ def command_link(
     without: Sequence[str] = (),
     distorted: Collection[int] = (),
 ) -> Link:
-    """Find effects between the command and the torque of each joint.
-
-    Joints whose torque no servo law explains have no finding; neither have those that
-    are ``distorted``, as their logged torque is not their servo's.
-    """
+    """Find effects between the command and the torque of each joint."""
+    # Joints whose torque no servo law explains have no finding; neither have those that
+    # are ``distorted``, as their logged torque is not their servo's.
     learn = split(gap)
     test = unseen_samples(gap, learn)
     kinds = [k for k in (_latency(), _gains()) if k.id not in without]
@@ -115,13 +117,13 @@ def command_link(
     squares = np.zeros(gap.robot.size)
     for s in servos:
         squares[s.joint] = sum(map(s.share, s.found))
-    found = [
-        _finding(gap, own, k, squares.sum(), rng)
+    found = tuple(
+        _finding(gap, [s for s in servos if k in s.found], k, squares.sum(), rng)
         for k in kinds
-        if (own := [s for s in servos if k in s.found])
-    ]
+        if any(k in s.found for s in servos)
+    )
     effects = tuple(e for s in servos for e in s.effects)
-    return Link(tuple(found), effects, squares, _excess(gap, servos))
+    return Link(found, effects, squares, _excess(gap, servos))
 
 
 def _fitted_servo(
@@ -187,23 +189,18 @@ def _declared_laws(gap: Gap, i: int) -> list[Law]:
 
 
 def _gain_errors(found: Fit, gap: Gap, i: int) -> tuple[Array, Array]:
-    """Relative errors of stiffness and damping, and their standard deviations.
-
-    Gains are divided by the scale of the whole torque, if the law has one.
-    """
-    declared = gap.robot.kp[i], gap.robot.kd[i]
-    scale = 0 if found.law.scaled else None
-    places = (1, 2) if found.law.scaled else (0, 1)
+    """Relative errors of stiffness and damping, and their standard deviations."""
+    # Gains are divided by the scale of the whole torque, if the law has one.
+    first = int(found.law.scaled)
+    scale = found.gains[0] if first else 1.0
     error, std = np.zeros(2), np.zeros(2)
-    for k, (place, gain) in enumerate(zip(places, declared, strict=True)):
+    for k, gain in enumerate((gap.robot.kp[i], gap.robot.kd[i])):
         if not gain > 0:  # a servo without damping
             continue
-        slope = np.zeros(len(found.gains))
-        unit = gain if scale is None else gain * found.gains[scale]
-        slope[place] = 1 / unit
-        error[k] = found.gains[place] / unit - 1.0
-        if scale is not None:
-            slope[scale] = -(error[k] + 1.0) / found.gains[scale]
+        slope, unit = np.zeros(len(found.gains)), gain * scale
+        error[k] = found.gains[first + k] / unit - 1.0
+        slope[0] = -(error[k] + 1.0) / scale if first else 0.0
+        slope[first + k] = 1 / unit
         std[k] = np.sqrt(slope @ found.covariance[2:, 2:] @ slope)
     return error, std
 
@@ -231,17 +228,18 @@ def _fitted_effects(
     if not kinds:
         return ()
     found = fit(log, list(laws()), immediate=_latency() not in kinds)
-    effects = []
-    for kind in kinds:
+
+    def effect(kind: type[Effect]) -> Effect:
         names = [g.name for g in kind.gains]
         value, std = np.array([found.latency]), np.array([found.latency_std])
         if not kind.shifts:
             value, error = _gain_errors(found, gap, i)
             law = np.array([kind.inexact.get(x, 0.0) for x in names])
             std = np.hypot(error, law * (1.0 + value))
-        values = (dict(zip(names, x.tolist(), strict=True)) for x in (value, std))
-        effects.append(kind((i,), *values))
-    return tuple(effects)
+        return kind((i,), *(dict(zip(names, x.tolist(), strict=True))
+                            for x in (value, std)))  # fmt: skip
+
+    return tuple(map(effect, kinds))
 
 
 def _finding(

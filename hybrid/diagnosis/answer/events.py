@@ -75,11 +75,9 @@ def _wrenches(gap: Gap) -> Array:
 
 
 def events_at_rest(gap: Gap) -> tuple[Event, ...]:
-    """Find pushes while no joint moves, in order of time.
-
-    What the simulator lacks differs from posture to posture. Each is compared with the
-    median torque in the same one.
-    """
+    """Find pushes while no joint moves, in order of time."""
+    # What the simulator lacks differs from posture to posture. Each is compared with
+    # the median torque in the same one.
     sampled = gap.sampled
     v = np.abs(sampled.v)
     slow = v <= np.maximum(STANDING * v.max(axis=0, initial=0.0), _AT_REST)
@@ -94,10 +92,8 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
 
 
 def _pushes(gap: Gap, rows: Index, push: Array) -> Iterator[Event]:
-    """Pushes at some samples of a recording, at rest in one posture.
-
-    A drive's torque settles for some time after a stop, which is no push.
-    """
+    """Pushes at some samples of a recording, at rest in one posture."""
+    # A drive's torque settles for some time after a stop, which is no push.
     if len(rows) < _LEAST_REST * gap.rate:
         return
     rated = np.array([s.torque for s in gap.scales])

@@ -78,10 +78,8 @@ def _servo_notes(result: Result) -> list[str]:
 
 
 def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
-    """The arm with corrected numbers, and the effects on it, fitted to all samples.
-
-    Where links have to give way to be physical, the effects take what they can.
-    """
+    """The arm with corrected numbers, and the effects on it, fitted to all samples."""
+    # Where links have to give way to be physical, the effects take what they can.
     if not result.effects:
         return result.gap.robot, ()
     search, effects = result.search, list(result.effects)

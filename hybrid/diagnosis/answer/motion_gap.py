@@ -7,8 +7,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Shrink
-from hybrid.diagnosis.answer.findings import changed_joints
-from hybrid.diagnosis.answer.intervals import interval
+from hybrid.diagnosis.answer.findings import changed_joints, interval
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.words import effect_words, effects_listed
@@ -43,11 +42,9 @@ _HALVED = (
 def with_motion_gap(
     result: Result, rng: np.random.Generator, *, progress: Progress | None = None
 ) -> Result:
-    """Add the gap in motion to each finding.
-
-    A finding that should show in motion, such as an elasticity or a delay, is doubted
-    if the simulator with it moves less like the arm.
-    """
+    """Add the gap in motion to each finding."""
+    # A finding that should show in motion, such as an elasticity or a delay, is doubted
+    # if the simulator with it moves less like the arm.
     if not result.effects:
         return result
     if result.gap.torque_is_filtered:
@@ -160,11 +157,9 @@ def step_warning(replay: Replay) -> list[str]:
 def _errors(
     replay: Replay, members: Sequence[int], delays: Sequence[Effect] = ()
 ) -> tuple[list[int], Array, Array]:
-    """Joints that a finding changes, and the motion errors without and with it.
-
-    Errors are of the windows in which its terms act, shape (W',), [rad]. Delays are put
-    back into the log, and act in all windows.
-    """
+    """Joints, and motion errors without and with a finding, (W',), [rad]."""
+    # Of the joints that it changes and the windows in which its terms act. Delays are
+    # put back into the log, and act in all windows.
     scored, windows = replay.scored, replay.windows_with(members)
     joints = [j for e in delays for j in e.joints]
     joints = joints or changed_joints(scored, scored.left(scored.without(*members)))

@@ -31,10 +31,9 @@ _FIRST_BAND = 0.5  # Hz, its end
 
 @dataclass(frozen=True)
 class _Histogram:
-    """Excess and samples of a joint in the bins of one variable.
+    """Excess and samples of a joint in the bins of one variable."""
 
-    Each sample counts in all bands of frequency, by their share of the noise.
-    """
+    # Each sample counts in all bands of frequency, by their share of the noise.
 
     joint: int
     variable: str
@@ -53,10 +52,8 @@ class _Test:
     correlated: float  # samples per independent sample
 
     def exceeds(self, excess: float, samples: float) -> bool:
-        """Whether an excess is significant, and above the error of the noise.
-
-        The variance of a squared standard normal variable is 2.
-        """
+        """Whether an excess is significant, and above the error of the noise."""
+        # The variance of a squared standard normal variable is 2.
         chance = self.limit * np.sqrt(2 * samples * self.correlated)
         return bool(excess > max(chance, _NOISE_ERROR * samples))
 
@@ -111,10 +108,8 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
 
 
 def _densest(histogram: _Histogram, test: _Test) -> slice | None:
-    """Neighbouring bins with the largest lead over their share of the samples.
-
-    None if the lead is not significant, or if it covers all bins.
-    """
+    """Neighbouring bins with the largest lead over their share of the samples."""
+    # None if the lead is not significant, or if it covers all bins.
     excess, samples = histogram.excess.sum(axis=0), histogram.samples.sum(axis=0)
     if histogram.variable == "link":
         return slice(0, 1) if test.exceeds(excess[0], samples[0]) else None

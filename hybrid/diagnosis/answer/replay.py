@@ -32,31 +32,23 @@ _LARGEST_ERROR = np.pi  # rad; larger motion errors count as this one
 
 
 class Replay:
-    """Windows of held-out motions, and simulations along them.
-
-    Attributes:
-        scored: The explanation.
-        effects: Its terms as effects, with the gains that were scored.
-        motions: Decimated held-out motions with their filtered torque.
-        horizon: Length of the windows, [s]; None if there are too few windows.
-        windows: W windows of the motions, which do not overlap.
-    """
+    """Windows of held-out motions, and simulations along them."""
 
     def __init__(self, scored: Explanation) -> None:
         self.scored, gap = scored, scored.gap
-        self.effects = scored_effects(scored)
+        self.effects = scored_effects(scored)  # its terms, with the gains scored
+        # Decimated motions with their filtered torque.
         held_out = unseen_samples(gap, split(gap))
         self.motions, usable, self._start = _motions(gap, held_out)
+        # Length of the W windows, [s]; None if there are too few. They do not overlap.
         self.horizon, self.windows = windows_of(usable, gap.rate)
         self._errors: dict[tuple[str, float], Array] = {}
 
     def squares_of(
         self, effects: Sequence[Effect], *, step: float | None = None
     ) -> Array:
-        """Mean square of the motion error with some effects, shape (W, n), [rad²].
-
-        An error is at most half a turn, as where a simulation diverged.
-        """
+        """Mean square of the motion error with some effects, shape (W, n), [rad²]."""
+        # An error is at most half a turn, as where a simulation diverged.
         error = self._error(effects, step or self.step)[1:]
         error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
         error = np.where(np.isnan(error), _LARGEST_ERROR, error)

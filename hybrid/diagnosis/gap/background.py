@@ -63,10 +63,8 @@ def _link(gap: Gap, k: int) -> Columns:
 
 @_once  # the training and the test samples share them
 def friction_near_rest(gap: Gap) -> _Blocks:
-    """Columns of soft dry friction near rest, and the size of each gain.
-
-    Arms and solvers differ in the speed at which dry friction is full.
-    """
+    """Columns of soft dry friction near rest, and the size of each gain."""
+    # Arms and solvers differ in the speed at which dry friction is full.
     level, (blocks, _) = dry_friction(gap), _soft(gap)
     sizes = [np.full(x[j].shape[1], level[j]) for j, x in enumerate(blocks)]
     return blocks, sizes
@@ -89,10 +87,8 @@ def _stacked(gap: Gap, blocks: Callable[[Gap], _Blocks]) -> _Blocks:
 
 @_once  # the training and the test samples share them
 def sampling_delays(gap: Gap) -> _Blocks:
-    """Columns of torque read between two samples, and standard deviations of gains.
-
-    No log says when torque was read within a sample: its time is uniform over one.
-    """
+    """Columns of torque read between two samples, and standard deviations of gains."""
+    # No log says when torque was read within a sample: its time is uniform over one.
     delay = effect_at(Port.MEASUREMENT, shifts=True)
     late = [delay((j,)) for j in range(gap.robot.size)]
     size = gap.period / np.sqrt(12.0)

@@ -9,10 +9,8 @@ from hybrid.signals.bandwidth import torque_bandwidth
 
 
 def bandwidth(gap: Gap) -> float:
-    """Frequency above which a filter has removed torque from the logs, [Hz], or inf.
-
-    The model is a least-squares fit of links, rotors and friction to each joint.
-    """
+    """Frequency above which a filter has removed torque from the logs, [Hz], or inf."""
+    # The model is a least-squares fit of links, rotors and friction to each joint.
     links = background(gap)[0][: gap.robot.size]
     measured, model = gap.measured, np.zeros_like(gap.left)
     for j, moving in enumerate(gap.moving.T):

@@ -55,11 +55,9 @@ def find_faults(recording: Recording) -> Faults:
 
 
 def _leaps(t: Array, q: Array, tau: Array) -> Mask:
-    """Samples beside a rare jump of torque while a joint moves, shape (N, n).
-
-    Where the reference jumps, so does the acceleration, at a time between two samples
-    that derivatives of positions do not resolve.
-    """
+    """Samples beside a rare jump of torque while a joint moves, shape (N, n)."""
+    # Where the reference jumps, so does the acceleration, at a time between two samples
+    # that derivatives of positions do not resolve.
     steps, v = np.diff(tau, axis=0), np.diff(q, axis=0) / np.diff(t)[:, None]
     around = np.stack([np.roll(v, k, axis=0) for k in (-_BESIDE, 0, _BESIDE)])
     slowest = _UNDER_WAY * np.abs(v).max(axis=0, initial=0.0)

@@ -29,10 +29,7 @@ _SMALL = 0.01  # of the typical gain, step of a finite difference
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """Measured less simulated torque along some motions, filtered and decimated.
-
-    M is the number of decimated samples of all motions, stacked.
-    """
+    """Measured less simulated torque at M samples, filtered, decimated and stacked."""
 
     robot: Robot  # the simulator that is diagnosed
     # With the simulated torque, of about twelve samples in a period of the cut-off or
@@ -68,20 +65,16 @@ class Gap:
         return self.cutoff < self.position_cutoff
 
     def lower_cutoff(self, part: float = LOWER_BAND) -> float:
-        """Cut-off of derivatives of positions, a part of that of positions, [Hz].
-
-        Above half of it they are mostly noise.
-        """
+        """Cut-off of derivatives of positions, a part of that of positions, [Hz]."""
+        # Above half of it they are mostly noise.
         return min(self.cutoff, part * max(self.position_cutoff, self.cutoff))
 
     @cached_property
     def scales(self) -> tuple[Scale, ...]:
-        """Rated torque and speed of each joint.
-
-        Where the file states no torque limit, the rated torque is at least the largest
-        measured one. Where it states no speed limit, the rated speed is at most the
-        largest measured one.
-        """
+        """Rated torque and speed of each joint."""
+        # Where the file states no torque limit, the rated torque is at least the
+        # largest measured one. Where it states no speed limit, the rated speed is at
+        # most the largest measured one.
         known = joint_scales(self.robot)
         torque, speed = np.array([(s.torque, s.speed) for s in known]).T
         seen, fastest = (np.abs(x).max(axis=0) for x in (self.measured, self.sampled.v))
@@ -176,11 +169,9 @@ class Gap:
         return dict(zip(reached, self.filtered(parts).swapaxes(0, 1), strict=True))
 
     def filtered(self, signals: Sequence[Array]) -> Array:
-        """Signals along each motion, (N, r, p), as the gap is filtered, (M, r, p).
-
-        A few signals of motions of one length are filtered at once, which halves the
-        time of one signal. More of them would leave the processor's cache.
-        """
+        """Signals along each motion, (N, r, p), as the gap is filtered, (M, r, p)."""
+        # A few signals of motions of one length are filtered at once, which halves the
+        # time of one signal. More of them would leave the processor's cache.
         each = [(x.T, s) for x, s in zip(signals, self.samplers, strict=True)]
         parts = list[Array]()  # (p, r, M): time is last, as in the filter
         for (shape, sampler), same in groupby(each, lambda x: (x[0].shape, x[1])):
@@ -195,11 +186,9 @@ class Gap:
         return bool(frequency > _VISIBLE * self.cutoff)
 
     def _first(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
-        """Derivative of the torque with respect to each gain, shape (N, r, p).
-
-        For an effect that changes the observed motion it includes the change of the
-        torque of rotor, damping and spring.
-        """
+        """Derivative of the torque with respect to each gain, shape (N, r, p)."""
+        # For an effect that changes the observed motion it includes the change of the
+        # torque of rotor, damping and spring.
         columns = effect.columns(motion, body)
         if not effect.observes or effect.steep:
             return columns
@@ -233,11 +222,9 @@ class Gap:
 
     @cached_property
     def lower_band(self) -> list[tuple[Motion, RigidBody, Sampler]]:
-        """Motions, bodies and samplers in the lower half of the band.
-
-        A further derivative of a noisy position is mostly noise. The gain of a noisy
-        column would come out too small.
-        """
+        """Motions, bodies and samplers in the lower half of the band."""
+        # A further derivative of a noisy position is mostly noise. The gain of a noisy
+        # column would come out too small.
         parts = []
         for m, body, sampler in self:
             low = partial(butterworth, rate=m.rate, cutoff=self.lower_cutoff())
@@ -250,11 +237,9 @@ class Gap:
 
     @cached_property
     def lower_band_reported(self) -> list[tuple[Motion, RigidBody, Sampler]]:
-        """:attr:`lower_band` for effects that change the reported torque.
-
-        Declared dry friction has no noise, and keeps its band up to 25 Hz; so does
-        the torque of a healthy arm, which is mostly friction.
-        """
+        """:attr:`lower_band` for effects that change the reported torque."""
+        # Declared dry friction has no noise, and keeps its band up to 25 Hz; so does
+        # the torque of a healthy arm, which is mostly friction.
         parts, band = [], self.lower_cutoff()
         more = self.healthy or [np.zeros(1)] * len(self.motions)
         each = zip(self.motions, more, self.lower_band, strict=True)

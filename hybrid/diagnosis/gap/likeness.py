@@ -58,11 +58,9 @@ def unlike(gap: Gap) -> Unlike:
 
 
 def _other_gravity(gap: Gap, joints: list[_Joint]) -> Unlike | None:
-    """Say that gravity comes from elsewhere than in the file, if it clearly does.
-
-    The file's links in gravity of any size and direction, which have to fit, are
-    compared with those in gravity of other sizes, as masses may be off.
-    """
+    """Say that gravity comes from elsewhere than in the file, if it clearly does."""
+    # The file's links in gravity of any size and direction, which have to fit, are
+    # compared with those in gravity of other sizes, as masses may be off.
     if not joints:
         return None
     own = gap.robot.chain.gravity

@@ -122,11 +122,9 @@ def _folds(motions: Sequence[Motion], cutoff: float) -> tuple[Index, Index]:
 
 
 def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
-    """Simulated torque, or the measured one where both differ much, (N, n), [N·m].
-
-    The gap contains the noise of the measured torque: columns that contain it too would
-    seem to explain the gap. So the measured torque has to be far above it, too.
-    """
+    """Simulated torque, or the measured one where both differ much, (N, n), [N·m]."""
+    # The gap contains the noise of the measured torque: columns that contain it too
+    # would seem to explain the gap. So the measured torque has to be far above it, too.
     low = partial(butterworth, motion.tau - simulated, rate=motion.rate)
     slow = low(cutoff=LOWER_BAND * cutoff)
     rough = np.abs(low(cutoff=cutoff) - slow)
@@ -162,21 +160,16 @@ def block_seconds(motions: Sequence[Motion]) -> float:
 
 
 def seconds(gap: Gap) -> Index:
-    """Second of each sample, shape (M,): a block for the bootstrap.
-
-    Residuals are correlated for about that time.
-    """
+    """Second of each sample, (M,): a block, as residuals are correlated so long."""
     return np.arange(len(gap.fold)) // max(1, round(gap.rate))
 
 
 def split(gap: Gap) -> Mask:
-    """Training samples, shape (M,); the others are the test set.
-
-    Every fourth trajectory is for testing. Where there are fewer than four, it is every
-    fourth block of time, less a part at both ends; see :func:`unseen_samples`. Another
-    split is taken where the test set alone holds squares that are far larger than all
-    of the training set.
-    """
+    """Training samples, shape (M,); the others are the test set."""
+    # Every fourth trajectory is for testing. Where there are fewer than four, it is
+    # every fourth block of time, less a part at both ends; see :func:`unseen_samples`.
+    # Another split is taken where the test set alone holds squares that are far larger
+    # than all of the training set.
     part, count = gap.trajectory, gap.trajectory.max() + 1
     masks = [part % 4 != k for k in (3, 2, 1, 0)]
     if count < 4:
@@ -194,10 +187,7 @@ def split(gap: Gap) -> Mask:
 
 
 def _unusual(gap: Gap, part: Index) -> Array:
-    """Mean squares of each sample's part over the median of all parts, shape (M,).
-
-    The joint with the largest ratio counts.
-    """
+    """Mean squares of a sample's part over the usual ones, at its worst joint, (M,)."""
     parts, own = np.unique(part, return_inverse=True)
     squares = np.where(gap.moving, gap.left, 0.0) ** 2
     mean = np.stack([
@@ -209,10 +199,8 @@ def _unusual(gap: Gap, part: Index) -> Array:
 
 
 def unseen_samples(gap: Gap, learn: Mask) -> Mask:
-    """Test samples beside given training samples, shape (M,).
-
-    Whole trajectories are tested; blocks of one lose a sixth at both ends.
-    """
+    """Test samples beside given training samples, shape (M,)."""
+    # Whole trajectories are tested; blocks of one lose a sixth at both ends.
     if gap.trajectory.max() >= 3:
         return ~learn
     reach = round(block_seconds(gap.motions) / 6 * gap.rate)

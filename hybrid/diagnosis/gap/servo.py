@@ -116,11 +116,7 @@ class ServoLog:
 def servo_logs(
     gap: Gap, recordings: Sequence[Recording | Motion]
 ) -> list[ServoLog | None]:
-    """Servo signals of each joint, from the recordings that have a command.
-
-    Returns:
-        ``None`` for joints that hardly move, or where no command was logged.
-    """
+    """Servo signals of each joint that was commanded and moves; ``None`` for others."""
     clock, parts, rows = 0.0, [], []
     for k, recording in enumerate(recordings):
         if isinstance(recording, Recording) and recording.command is not None:
