@@ -156,7 +156,7 @@ class TestGap:
         assert 0.05 < unseen.mean() < 0.35
 
     def test_what_surrounds_a_fault_is_left_out_as_far_as_the_filter_carries_it(self):
-        robot, clean = logs([], duration=6.0)
+        robot, clean = logs([])
         tau = clean[0].tau.copy()
         tau[1000:1500, 0] = tau[1000, 0]
         sound = measure_gap(robot, clean, cutoff=15.0)
@@ -280,7 +280,7 @@ class TestGap:
         gap = planar().gap
         learn = split(gap)
         assert not {*gap.trajectory[learn]} & {*gap.trajectory[~learn]}
-        robot, recordings = logs([], count=1, duration=20.0)
+        robot, recordings = logs([], count=1, duration=12.0)
         single = measure_gap(robot, recordings)
         learn = split(single)
         scored = unseen_samples(single, learn)

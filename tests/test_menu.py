@@ -3,17 +3,22 @@
 from dataclasses import replace
 from functools import cache
 
-import diagnosed
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pendulum import gap_of
 from simulated import arm
 
 from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along, with_payload
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.errors import ExcitationError
 from hybrid.plant import random_fourier
+
+
+def recorded():
+    """A gap of the planar arm."""
+    return replace(gap_of(size=2, count=1), robot=arm("planar"))
 
 
 @cache
@@ -112,22 +117,22 @@ def test_a_carried_mass_weighs_at_the_centre_of_the_last_link():
 def test_a_gap_along_an_experiment_is_of_the_simulator_and_empty():
     rng = np.random.default_rng(0)
     path = random_fourier(arm("planar"), duration=5.0, rate=250.0, seed=rng)
-    ahead = gap_along(diagnosed.planar().gap, Experiment("a motion", path))
+    ahead = gap_along(recorded(), Experiment("a motion", path))
     assert not ahead.left.any()
     (motion,) = ahead.motions
     np.testing.assert_allclose(path.at(motion.t)[0], motion.q, atol=1e-9)
-    assert motion.rate == pytest.approx(diagnosed.planar().gap.motions[0].rate)
+    assert motion.rate == pytest.approx(recorded().motions[0].rate)
     assert ahead.moving.any(axis=0).all()
 
 
 def test_a_warm_drive_is_as_old_as_it_is_said_to_be():
     (warm,) = [x for x in menu_of("planar").of_all_joints if x.start > 0]
-    ahead = gap_along(diagnosed.planar().gap, warm)
+    ahead = gap_along(recorded(), warm)
     assert ahead.motions[0].t[0] == warm.start
 
 
 def test_along_an_experiment_with_a_mass_the_simulator_carries_it():
     (carry,) = [x for x in menu_of("planar").of_all_joints if x.mass > 0]
-    ahead = gap_along(diagnosed.planar().gap, carry)
+    ahead = gap_along(recorded(), carry)
     bare = RigidBody(arm("planar").chain, ahead.motions[0]).load
     assert np.abs(ahead.bodies[0].load - bare).max() > 0.1
