@@ -4,6 +4,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -196,13 +197,12 @@ def choose(
             if sizes[k] ** 2 / 2 < least:
                 break
             contrast = told(tried[k]).contrast(*rivals)
-            text = _run(tried[k])
             if min(contrast) > both[0]:
-                both = min(contrast), Plan(Advice(text, splits, sizes[k]), tried[k])
+                both = min(contrast), _plan(tried[k], splits, sizes[k])
             if max(contrast) > one[0]:
-                confirmed = splits[int(np.argmax(contrast))]
-                text += _IF_ANY.format(effect_words(confirmed))
-                one = max(contrast), Plan(Advice(text, splits, sizes[k]), tried[k])
+                shown = effect_words(splits[int(np.argmax(contrast))])
+                text = _IF_ANY.format(shown)
+                one = max(contrast), _plan(tried[k], splits, sizes[k], text)
         if both[1] is not None:
             break
     found = both[1] or one[1]
@@ -242,34 +242,33 @@ def _of_kind(
     wanted: str, menu: Menu, joint: int, *, size: float = 0.0, more: str = ""
 ) -> tuple[Plan, ...]:
     """The first experiment about a joint whose name starts as wanted, if there is."""
-    for x in menu.about(joint):
-        if x.name.startswith(wanted):
-            return (Plan(Advice(_run(x) + more, (), float(size)), x),)
-    return ()
+    found = (x for x in menu.about(joint) if x.name.startswith(wanted))
+    return tuple(_plan(x, (), size, more) for x in islice(found, 1))
 
 
 def _for_not_excited(result: Result, menu: Menu) -> Iterator[Plan]:
     """A ladder of speeds for joints that did not move, or in one direction only."""
-    count = 0
-    for j, name in enumerate(result.gap.robot.joints):
-        still = any(
-            text == name or text.startswith((f"{name} does", f"{name} moving"))
-            for text in result.diagnosis.not_excited
-        )
-        for experiment in menu.ladder(j) if still and count < _MOST_JOINTS else ():
-            count += 1
-            yield Plan(Advice(_run(experiment), (), 0.0), experiment)
+    said = result.diagnosis.not_excited
+    still = [
+        j for j, name in enumerate(result.gap.robot.joints)
+        if name in said
+        or any(x.startswith((f"{name} does", f"{name} moving")) for x in said)
+    ]  # fmt: skip
+    return islice((_plan(x) for j in still for x in menu.ladder(j)), _MOST_JOINTS)
 
 
 def _for_servos(result: Result, menu: Menu) -> Iterator[Plan]:
     """A run with other servo gains, if findings of a servo are not distinguished."""
     for finding in result.diagnosis.findings:
         ids = finding.alternatives
-        if len(ids) < 2 or effect_class(ids[0]).port is not Port.COMMAND:
-            continue
-        for experiment in menu.of_all_joints:
-            if experiment.gains:
-                yield Plan(Advice(_run(experiment), ids, 0.0), experiment)
+        if len(ids) > 1 and effect_class(ids[0]).port is Port.COMMAND:
+            yield from (_plan(x, ids) for x in menu.of_all_joints if x.gains)
+
+
+def _plan(
+    x: Experiment, splits: tuple[str, ...] = (), size: float = 0.0, more: str = ""
+) -> Plan:
+    return Plan(Advice(_run(x) + more, splits, float(size)), x)
 
 
 def _run(experiment: Experiment) -> str:

@@ -65,14 +65,11 @@ def _servo_notes(result: Result) -> list[str]:
     """Servo settings found, which a motor with torque input cannot express."""
     robot, notes = result.gap.robot, []
     for effect in result.command:
-        (j,) = effect.joints
-        changed = Actuator().and_then(effect.actuator)
-        setting = (
-            f"delay commands by {1000 * changed.latency:.3g} ms"
-            if changed.latency
-            else f"use kp = {robot.kp[j] * changed.stiffness:.4g} "
-            f"and kd = {robot.kd[j] * changed.damping:.4g}"
-        )
+        (j,), new = effect.joints, Actuator().and_then(effect.actuator)
+        kp, kd = robot.kp[j] * new.stiffness, robot.kd[j] * new.damping
+        setting = f"use kp = {kp:.4g} and kd = {kd:.4g}"
+        if new.latency:
+            setting = f"delay commands by {1000 * new.latency:.3g} ms"
         notes.append(f"{effect.id} of {robot.joints[j]}, {setting}")
     return notes
 

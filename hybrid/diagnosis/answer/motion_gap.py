@@ -13,7 +13,7 @@ from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.words import effect_words, effects_listed
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
-from hybrid.progress import Progress
+from hybrid.progress import Progress, silent
 
 _DIVERGED = 1.0  # rad; a larger motion error has no meaning
 _STEP_ERROR = 0.1  # of the motion error without findings
@@ -49,8 +49,7 @@ def with_motion_gap(
         return result
     if result.gap.torque_is_filtered:
         return replace(result, diagnosis=_noted(result.diagnosis, [_FILTERED]))
-    if progress:
-        progress("replaying the simulator", 0.85)
+    (progress or silent)("replaying the simulator", 0.85)
     try:
         diagnosis = _in_motion(result, Replay(result.scored), rng)
     except HybridError as error:
@@ -103,27 +102,19 @@ def motion_shrink(
 ) -> Shrink | None:
     """Compare motion errors without and with some terms, all others present.
 
-    ``delays`` are delays of the log's torque, which are no terms; instead of
-    ``members``.
+    In place of ``members`` there may be delays of the log's torque, which are no terms.
 
     Returns:
-        RMS over joints and time, [rad], without and with the terms; median over the
-        windows in which they act. None if there are too few windows.
-
-    Raises:
-        EffectError: An effect cannot be simulated.
+        RMS over joints and time, [rad]; median over the windows in which the terms act.
+        None if there are too few windows.
     """
     if replay.horizon is None:
         return None
     joints, before, after = _errors(replay, members, delays)
-    return Shrink(
-        float(np.median(before)),
-        float(np.median(after)),
-        float(_removed(before, after)),
-        interval(lambda k: _removed(before[k], after[k]), len(before), rng),
-        replay.horizon,
-        replay.scored.gap.robot.chain.unit_at(joints, "rad"),
-    )
+    sizes = map(float, (np.median(before), np.median(after), _removed(before, after)))
+    ends = interval(lambda k: _removed(before[k], after[k]), len(before), rng)
+    unit = replay.scored.gap.robot.chain.unit_at(joints, "rad")
+    return Shrink(*sizes, ends, replay.horizon, unit)
 
 
 def rollout_agrees(replay: Replay, term: int, rng: np.random.Generator) -> bool | None:

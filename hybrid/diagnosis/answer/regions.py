@@ -73,8 +73,7 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
     if not whole:
         return ()
     squares = np.concatenate([c.excess for c in whole], axis=1).sum(axis=1)  # (B,)
-    visits = sum(c.samples.sum() for c in whole)
-    blocks = len(squares)
+    visits, blocks = sum(c.samples.sum() for c in whole), len(squares)
     # Number of tests: every range of neighbouring bins.
     ranges = sum(c.excess.shape[1] * (c.excess.shape[1] + 1) // 2 for c in histograms)
     test = _Test(
@@ -95,16 +94,12 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
         # Chance leaves less than the noise elsewhere, and a share of more than 1.
         share = float(np.clip(inside.sum() / squares.sum(), 0.0, 1.0))
         shares = np.clip((test.draws @ inside)[some] / drawn[some], 0.0, 1.0)
-        low, high = np.quantile(shares, [0.025, 0.975])
-        lead = share - float(x.samples[:, best].sum() / visits)
-        region = Region(
-            gap.robot.joints[x.joint], x.variable,
-            float(x.edges[best.start]), float(x.edges[best.stop]), x.unit,
-            share, (float(low), float(high)),
-        )  # fmt: skip
-        found.append((lead, region))
-    found.sort(key=lambda x: -x[0])
-    return tuple(region for _, region in found)
+        low, high = np.quantile(shares, [0.025, 0.975]).tolist()
+        ends = x.edges[[best.start, best.stop]].tolist()
+        joint = gap.robot.joints[x.joint]
+        region = Region(joint, x.variable, *ends, x.unit, share, (low, high))
+        found.append((share - float(x.samples[:, best].sum() / visits), region))
+    return tuple(region for _, region in sorted(found, key=lambda x: -x[0]))
 
 
 def _densest(histogram: _Histogram, test: _Test) -> slice | None:
@@ -131,8 +126,7 @@ def _densest(histogram: _Histogram, test: _Test) -> slice | None:
 
 def _histograms(gap: Gap, noise: Array) -> Iterator[_Histogram]:
     """Excess of every joint over every variable, in bins with enough samples."""
-    block = seconds(gap)
-    blocks = int(block.max()) + 1
+    block, blocks = seconds(gap), int(seconds(gap).max()) + 1
     fewest = _FEWEST_SECONDS * gap.rate
     for i in range(gap.robot.size):
         rows = np.flatnonzero(gap.moving[:, i])

@@ -35,10 +35,8 @@ class Baseline:
     @cached_property
     def robot(self) -> Robot:
         """The arm with the model's links, if the model has physical ones."""
-        known = self.model.inertial
-        return (
-            self.model.robot if known is None else self.model.robot.with_inertial(known)
-        )
+        robot, known = self.model.robot, self.model.inertial
+        return robot if known is None else robot.with_inertial(known)
 
     @property
     def inborn(self) -> list[str]:

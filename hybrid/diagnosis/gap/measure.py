@@ -175,10 +175,8 @@ def split(gap: Gap) -> Mask:
     if count < 4:
         part = gap.fold * count + gap.trajectory
         # Another block of each trajectory, as trajectories often end alike.
-        masks = [
-            (gap.fold + turn * gap.trajectory + more) % 4 != 3
-            for more in range(4) for turn in (1, 2, 0)
-        ]  # fmt: skip
+        ways = [turn * gap.trajectory + more for more in range(4) for turn in (1, 2, 0)]
+        masks = [(gap.fold + way) % 4 != 3 for way in ways]
         masks = [x for x in masks if x.any() and not x.all()] or masks[:1]
     most = _unusual(gap, part)
     alone = [most[~x].max(initial=0.0) / most[x].max(initial=1e-300) for x in masks]
