@@ -9,7 +9,7 @@ from pendulum import gap_of, pendulum, with_torque
 
 from hybrid.diagnosis import diagnose as diagnose_module
 from hybrid.diagnosis.answer import command, events, motion_gap
-from hybrid.diagnosis.answer.command import Link, _excess, _plausible, _Servo
+from hybrid.diagnosis.answer.command import _excess, _plausible, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Shrink, Unseen
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import (
@@ -44,7 +44,7 @@ from hybrid.diagnosis.answer.replay import (
     windows_of,
 )
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
-from hybrid.diagnosis.answer.unseen import left_unseen, unseen
+from hybrid.diagnosis.answer.unseen import unseen
 from hybrid.diagnosis.diagnose import _drop_improbable
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.convention import Convention
@@ -838,27 +838,7 @@ def test_a_better_fit_has_evidence_and_leaves_less_on_held_out_samples(monkeypat
         assert command._better(None, None, fit(1.0), fit(left)) == better
 
 
-def test_findings_of_a_servo_are_merged_by_the_squares_they_explain():
-    late = finding_of(CommandLatency, ["a"], (), ())
-    link = Link((late,), (), np.array([3.0]), np.zeros((1, 1)))
-    other = replace(finding_of(Coulomb, ["a"], (), ()), share=1.0)
-    first, second = link.merged([other], 1.0)
-    assert (first.effect, first.share) == ("command_latency", 0.75)
-    assert second.share == 0.25
-    assert link.merged([], 0.0)[0].share == 1.0
-
-
 # --- unseen motions -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("after", "left"), [(1.5, 0.0), (2.5, 1.0 / 7.5)])
-def test_noise_may_leave_half_as_much_again(after, left):
-    """Of ten samples and a variance of one: squares of 15."""
-    x = SimpleNamespace(before=[np.full(10, 3.0)], after=[np.full(10, after**0.5)])
-    account = SimpleNamespace(noise=np.ones(1))
-    expected = max(10 * after - 15, 0) / (90 - 15)
-    assert left_unseen(x, account) == pytest.approx(expected)
-    assert expected == pytest.approx(left, abs=0.02)
 
 
 def test_the_gap_unseen_is_an_rms_before_and_after_and_at_its_ceiling(monkeypatch):
@@ -1012,7 +992,6 @@ def test_two_effects_of_a_servo_share_by_what_each_adds_alone_and_last():
     assert gains == pytest.approx(5 * ((25.0 - 1.0) + (81.0 - 16.0)) / 2)
     alone = servo(late=5.0, free=4.0, whole=1.0)
     assert alone.share(ControllerGain) == pytest.approx(5 * 24.0)
-    assert alone.share(CommandLatency) == 0.0
 
 
 @pytest.mark.parametrize("scale", [False, True])

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from pendulum import gap_of
 from simulated import arm
 
-from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along, with_payload
+from hybrid.diagnosis.advice.menu import Menu, gap_along
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.errors import ExcitationError
-from hybrid.plant import random_fourier
 
 
 def recorded():
@@ -97,38 +96,6 @@ def test_links_that_come_too_close_are_refused():
     strict.clearance = replace(menu.clearance, margin=1.05 * least)
     with pytest.raises(ExcitationError, match="closeness"):
         strict.checked(move.reference)
-
-
-def test_a_carried_mass_weighs_at_the_centre_of_the_last_link():
-    robot = arm("planar")
-    heavy = with_payload(robot, 2.0)
-    q, rest = np.array([[0.3, -0.4]]), np.zeros((1, 2))
-    holding, before = (
-        inverse_dynamics(x.chain, x.chain.inertial, q, rest, rest)
-        for x in (heavy, robot)
-    )
-    own = robot.chain.inertial.copy()
-    own[:-1] = 0.0
-    alone = inverse_dynamics(robot.chain, own, q, rest, rest)
-    np.testing.assert_allclose(holding - before, alone * 2.0 / own[-1, 0])
-
-
-@pytest.mark.study
-def test_a_gap_along_an_experiment_is_of_the_simulator_and_empty():
-    rng = np.random.default_rng(0)
-    path = random_fourier(arm("planar"), duration=5.0, rate=250.0, seed=rng)
-    ahead = gap_along(recorded(), Experiment("a motion", path))
-    assert not ahead.left.any()
-    (motion,) = ahead.motions
-    np.testing.assert_allclose(path.at(motion.t)[0], motion.q, atol=1e-9)
-    assert motion.rate == pytest.approx(recorded().motions[0].rate)
-    assert ahead.moving.any(axis=0).all()
-
-
-def test_a_warm_drive_is_as_old_as_it_is_said_to_be():
-    (warm,) = [x for x in menu_of("planar").of_all_joints if x.start > 0]
-    ahead = gap_along(recorded(), warm)
-    assert ahead.motions[0].t[0] == warm.start
 
 
 def test_along_an_experiment_with_a_mass_the_simulator_carries_it():

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -169,21 +170,15 @@ class Menu:
         return found
 
     def _if_safe(
-        self,
-        name: str,
-        make: Callable[[int], Reference],
-        *,
-        start: float = 0.0,
-        mass: float = 0.0,
-        gains: bool = False,
+        self, name: str, make: Callable[[int], Reference], **conditions: Any
     ) -> tuple[Experiment, ...]:
         """The experiment, if the arm has enough room, speed and torque for it."""
+        mass = conditions.get("mass")
         arm = with_payload(self._robot, mass) if mass else self._robot
         try:
-            reference = self.first_safe(make, arm)
+            return (Experiment(name, self.first_safe(make, arm), **conditions),)
         except HybridError:
             return ()
-        return (Experiment(name, reference, start, mass, gains),)
 
     def _of_one(
         self, make: Callable[..., Reference], joint: int, **more: float

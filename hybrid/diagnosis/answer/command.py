@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.arrays import Array, Mask
+from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding
 from hybrid.diagnosis.answer.findings import (
     ExtraFindings,
@@ -27,7 +27,7 @@ from hybrid.diagnosis.explanations.servo_fit import (
 )
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import seconds, split, unseen_samples
-from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
+from hybrid.diagnosis.gap.servo import FEWEST, ServoLog, laws, servo_logs
 from hybrid.effects import Effect, Port, effect_at
 from hybrid.recording import Recording
 from hybrid.signals import Motion
@@ -74,12 +74,8 @@ class _Servo:
 
     def share(self, kind: type[Effect]) -> float:
         """Squares that an effect explains (Shapley value), in units of noise."""
-        if kind not in self.found:
-            return 0.0
         last = self.decrease(self.without(kind), self.without())
         others = [k for k in self.found if k is not kind]
-        if not others:
-            return last
         first = self.decrease(self.without(*self.found), self.without(*others))
         return (last + first) / 2
 
@@ -105,11 +101,9 @@ def command_link(
     """Find effects between the command and the torque of each joint."""
     # Joints whose torque no servo law explains have no finding; neither have those that
     # are ``distorted``, as their logged torque is not their servo's.
-    learn = split(gap)
-    test = unseen_samples(gap, learn)
     kinds = [k for k in (_latency(), _gains()) if k.id not in without]
     fitted = [
-        _fitted_servo(gap, i, log, learn, test, kinds)
+        _fitted_servo(gap, i, log, kinds)
         for i, log in enumerate(servo_logs(gap, recordings))
         if log is not None and i not in distorted
     ]
@@ -127,19 +121,16 @@ def command_link(
 
 
 def _fitted_servo(
-    gap: Gap,
-    i: int,
-    log: ServoLog,
-    learn: Mask,
-    test: Mask,
-    kinds: Sequence[type[Effect]],
+    gap: Gap, i: int, log: ServoLog, kinds: Sequence[type[Effect]]
 ) -> _Servo | None:
     """Fit the servo of a joint; None if no law explains its torque."""
+    learn = split(gap)
+    test = unseen_samples(gap, learn)
     train, held_out = (log.at(x[log.row]) for x in (learn, test))
     if min(len(train.row), len(held_out.row)) < FEWEST:
         return None
-    free = list(laws())
-    declared = _declared_laws(gap, i)
+    free, kp, kd = list(laws()), float(gap.robot.kp[i]), float(gap.robot.kd[i])
+    declared = list(laws(kp, kd)) if np.isfinite(kp) else []
     whole = fit(train, free, immediate=False)
     tau = held_out.torque(held_out.t)
     left = whole.residual(held_out)
@@ -183,11 +174,6 @@ def _better(train: ServoLog, held_out: ServoLog, before: Fit, after: Fit) -> boo
     return bool(falls) and log_likelihood_ratio(train, before, after) > WORTH
 
 
-def _declared_laws(gap: Gap, i: int) -> list[Law]:
-    kp, kd = gap.robot.kp[i], gap.robot.kd[i]
-    return list(laws(float(kp), float(kd))) if np.isfinite(kp) else []
-
-
 def _gain_errors(found: Fit, gap: Gap, i: int) -> tuple[Array, Array]:
     """Relative errors of stiffness and damping, and their standard deviations."""
     # Gains are divided by the scale of the whole torque, if the law has one.
@@ -225,7 +211,7 @@ def _fitted_effects(
     gap: Gap, i: int, log: ServoLog, kinds: Sequence[type[Effect]]
 ) -> tuple[Effect, ...]:
     """Fit the effects of a joint to all samples."""
-    if not kinds:
+    if not kinds:  # a fit takes time
         return ()
     found = fit(log, list(laws()), immediate=_latency() not in kinds)
 
