@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from hybrid.arguments import typed
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.command import command_link
-from hybrid.diagnosis.answer.diagnosis import Diagnosis
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import findings, implausible
 from hybrid.diagnosis.answer.links import delay_finding, merged_links
@@ -27,7 +27,7 @@ from hybrid.diagnosis.evidence.logs import measured, since_first
 from hybrid.diagnosis.explanations.account import account
 from hybrid.diagnosis.explanations.belief import is_known
 from hybrid.diagnosis.explanations.cause import Cause
-from hybrid.diagnosis.explanations.explanation import explain, shares
+from hybrid.diagnosis.explanations.explanation import Explanation, explain, shares
 from hybrid.diagnosis.explanations.refit import refit
 from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.baseline import Baseline
@@ -204,22 +204,29 @@ def _delay() -> str:
     return effect_at(Port.MEASUREMENT, shifts=True).id
 
 
-def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
-    """Explain the torque of some logs."""
-    gap, logged = case.gap, case.logged
-    doubts = [x for x in (case.too_little, case.unlike.doubt) if x]
+def _searched(case: _Case, tell: Progress) -> Search:
+    """Search for causes, unless there is too little motion to name one."""
+    gap = case.gap
     # A delay of all torque is corrected already.
-    late = [_delay()] if logged.clocks else []
+    late = [_delay()] if case.logged.clocks else []
     tell("trying every effect at every joint", 0.05)
     search = Search(gap, split(gap), without=[*case.without, *late])
-    if not case.too_little:
-        tell("looking for the most probable explanation", 0.2)
+    if case.too_little:
+        return search
+    tell("looking for the most probable explanation", 0.2)
+    search.run(tell)
+    once = search.happened_in_test()
+    if once.any():
+        tell("looking again, with what happened once", 0.5)
+        search = Search(gap, search.learn | once, search.pool.without)
         search.run(tell)
-        once = search.happened_in_test()
-        if once.any():
-            tell("looking again, with what happened once", 0.5)
-            search = Search(gap, search.learn | once, search.pool.without)
-            search.run(tell)
+    return search
+
+
+def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
+    """Explain the torque of some logs."""
+    gap, logged, search = case.gap, case.logged, _searched(case, tell)
+    doubts = [x for x in (case.too_little, case.unlike.doubt) if x]
     reached = account(search).ceiling
     named, alike = _drop_improbable(search, doubts)
     found, far = account(search, reached), search.doubtful_joints(search.causes)
@@ -233,11 +240,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     certain = [c for c, kind, name in each if kind or name != c.place[0]]
     shown, left = unseen(search, found, certain), left_unseen(scored, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
-    ids = [f.effect for f in causes]
-    seen = {x: scored.where_seen(scored.members(x)) for x in ids}
-    untested = [x for x in ids if seen[x] is not scored]
-    doubts += [_UNTESTED.format(effects_listed(untested, "and"))] if untested else []
-    doubts += implausible(causes)
+    doubts += [*_untested(scored, causes), *implausible(causes)]
     error, typical = search.file_error, search.prior.file_errors[1]
     if error > typical:
         doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)
@@ -249,34 +252,43 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     verdict, unexplained = verdict_of(found, causes, left, doubtful=doubtful)
     if case.too_little:
         verdict, unexplained = "not_excited", 1.0
-    logged_gap, healthy = case.as_logged, case.healthy
+    healthy = case.healthy
     diagnosis = Diagnosis(
-        **_sizes(logged_gap),
+        **_sizes(case.as_logged),
         noise_floor=tuple(map(float, np.sqrt(found.noise))),
         where=(),
         findings=causes,
         verdict=verdict,
         unexplained=unexplained,
         background=error,
-        not_excited=not_excited(logged_gap),
         unseen=shown,
-        events=(*contacts_in_motion(gap, effects), *events_at_rest(logged_gap)),
+        events=(*contacts_in_motion(gap, effects), *events_at_rest(case.as_logged)),
         warnings=(*gap.notes, *logged.notes),
         doubts=(*doubts, *(healthy.doubts(effects) if healthy else ())),
         unlike=case.unlike.short,
     )
-    return Result(diagnosis, logged_gap, search, scored, found, effects, rivals=alike,
-                  baseline=healthy.model.effects if healthy else ())  # fmt: skip
+    return Result(
+        diagnosis, case.as_logged, search, scored, found, effects, rivals=alike,
+        baseline=healthy.model.effects if healthy else (),
+    )  # fmt: skip
+
+
+def _untested(scored: Explanation, causes: Sequence[Finding]) -> Iterator[str]:
+    """That some causes act in no held-out motion."""
+    ids = [f.effect for f in causes]
+    seen = {x: scored.where_seen(scored.members(x)) for x in ids}
+    if untested := [x for x in ids if seen[x] is not scored]:
+        yield _UNTESTED.format(effects_listed(untested, "and"))
 
 
 def _drop_improbable(
     search: Search, doubts: list[str]
 ) -> tuple[dict[Cause, dict[str, float]], dict[Term, tuple[Candidate, ...]]]:
     """Remove causes from a search that are less probable than an unknown law."""
-    # Those of an uncertain joint are added to ``doubts``. Returns: The effects that may
-    # be in each cause's place at its joint, with their probabilities, its own first;
-    # and the rivals of each: these alternatives, the most probable one at another
-    # joint, and those that only priors tell from it.
+    # What is left is told by the effects that may be in each cause's place at its
+    # joint, with their probabilities, its own first; and by the rivals of each: these,
+    # the most probable one at another joint, which is doubted, and those that only
+    # priors tell from it.
     beliefs = [b for b in search.beliefs if b.worth > 0 and is_known(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
@@ -300,7 +312,7 @@ def _drop_improbable(
 
 
 def _sizes(gap: Gap) -> dict[str, Any]:
-    """The arm, and the size of its gap by joint."""
+    """The arm, what its motions lack, and the size of its gap by joint."""
     count = np.maximum(gap.moving.sum(axis=0), 1)
     rms, size = (
         np.sqrt((np.where(gap.moving, x, 0.0) ** 2).sum(axis=0) / count)
@@ -310,6 +322,7 @@ def _sizes(gap: Gap) -> dict[str, Any]:
         "robot": gap.robot.name,
         "joints": gap.robot.joints,
         "units": gap.robot.chain.units("N·m"),
+        "not_excited": not_excited(gap),
         "rms": tuple(map(float, rms)),
         "relative": tuple(map(float, rms / np.where(size > 0, size, np.inf))),
     }

@@ -111,10 +111,11 @@ def motion_shrink(
     if replay.horizon is None:
         return None
     joints, before, after = _errors(replay, members, delays)
-    sizes = map(float, (np.median(before), np.median(after), _removed(before, after)))
+    whole, left = float(np.median(before)), float(np.median(after))
     ends = interval(lambda k: _removed(before[k], after[k]), len(before), rng)
-    unit = replay.scored.gap.robot.chain.unit_at(joints, "rad")
-    return Shrink(*sizes, ends, replay.horizon, unit)
+    part, chain = float(_removed(before, after)), replay.scored.gap.robot.chain
+    unit = chain.unit_at(joints, "rad")
+    return Shrink(whole, left, part, ends, replay.horizon, unit)
 
 
 def rollout_agrees(replay: Replay, term: int, rng: np.random.Generator) -> bool | None:

@@ -95,9 +95,9 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
         share = float(np.clip(inside.sum() / squares.sum(), 0.0, 1.0))
         shares = np.clip((test.draws @ inside)[some] / drawn[some], 0.0, 1.0)
         low, high = np.quantile(shares, [0.025, 0.975]).tolist()
-        ends = x.edges[[best.start, best.stop]].tolist()
-        joint = gap.robot.joints[x.joint]
-        region = Region(joint, x.variable, *ends, x.unit, share, (low, high))
+        start, end = x.edges[[best.start, best.stop]].tolist()
+        joint, ends = gap.robot.joints[x.joint], (low, high)
+        region = Region(joint, x.variable, start, end, x.unit, share, ends)
         found.append((share - float(x.samples[:, best].sum() / visits), region))
     return tuple(region for _, region in sorted(found, key=lambda x: -x[0]))
 

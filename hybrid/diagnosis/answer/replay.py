@@ -99,7 +99,7 @@ def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     gap = scored.gap
     motions, usable, start = _motions(gap, np.ones(len(gap.fold), dtype=np.bool_))
     span = round(HORIZONS[0] * gap.rate)
-    windows = Windows(*_starts(usable, span).T, span)
+    windows = _windows(_starts(usable, span), span)
     at = start[windows.motion] + windows.sample + np.arange(span + 1)[:, None]
 
     def positions(robot: Robot, effects: Sequence[Effect]) -> Array:
@@ -144,8 +144,13 @@ def windows_of(usable: Sequence[Mask], rate: float) -> tuple[float | None, Windo
         found = _starts(usable, span)
         if len(found) >= _FEWEST_WINDOWS:
             chosen = np.linspace(0, len(found) - 1, min(len(found), _MOST_WINDOWS))
-            return horizon, Windows(*found[chosen.round().astype(int)].T, span)
-    return None, Windows(*_starts((), 0).T, 0)
+            return horizon, _windows(found[chosen.round().astype(int)], span)
+    return None, _windows(_starts((), 0), 0)
+
+
+def _windows(starts: Index, span: int) -> Windows:
+    motion, sample = starts.T
+    return Windows(motion, sample, span)
 
 
 def _starts(usable: Sequence[Mask], span: int) -> Index:

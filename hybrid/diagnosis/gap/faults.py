@@ -75,4 +75,4 @@ def _leaps(t: Array, q: Array, tau: Array) -> Mask:
     far = size > np.maximum(_JUMP * usual, _LEAP * np.ptp(tau, axis=0))
     leap = under_way & alone & far & ~impact
     edge = np.zeros((1, leap.shape[1]), dtype=bool)
-    return np.vstack([leap, edge]) | np.vstack([edge, leap])
+    return np.asarray(np.vstack([leap, edge]) | np.vstack([edge, leap]))

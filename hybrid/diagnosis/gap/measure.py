@@ -138,7 +138,7 @@ def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Fau
     """Faults at the samples of a motion, and within reach of the filter."""
     if isinstance(recording, Motion):
         none = np.zeros(motion.tau.shape, dtype=bool)
-        return Faults(none.any(axis=1), none, ())
+        return Faults(none[:, 0], none, ())
     found = find_faults(recording.in_order(motion.joints))
     near = np.clip(np.searchsorted(recording.t, motion.t), 0, len(recording.t) - 1)
     both = np.column_stack([found.posture, found.torque])[near]
