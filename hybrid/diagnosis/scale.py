@@ -96,11 +96,8 @@ def settled(
 ) -> Diagnosis:
     """The same with the scale of torque, and with masses in true units.
 
-    Args:
-        diagnosis: What has changed since a model was healthy.
-        effects: The effects found, with their values.
-        known: Mass of what was mounted on the link that a joint moves, by the joint's
-            name, [kg].
+    Known are masses of what was mounted since the model was healthy on the link that a
+    joint moves, by the joint's name, [kg].
 
     Raises:
         IdentificationError: The logs show no mass there, or hardly one.
@@ -126,15 +123,16 @@ def _scale(
     diagnosis: Diagnosis, effects: Sequence[Effect], joint: str, known: float
 ) -> tuple[float, float]:
     """Scale of torque by a known mass, and its standard deviation."""
-    seen = {diagnosis.joints[e.joints[-1]]: e for e in effects if e.weighed}
+    seen = {
+        diagnosis.joints[e.joints[-1]]: (e.values[e.weighed[0]], e.std[e.weighed[0]])
+        for e in effects if e.weighed
+    }  # fmt: skip
     if joint not in seen:
         where = f"valid is {', '.join(seen)}" if seen else "they show none at all"
         raise IdentificationError(
             f"known mass: these logs show no mass that was mounted at {joint}; {where}"
         )
-    effect = seen[joint]
-    name = effect.weighed[0] if effect.weighed else ""
-    found, std = effect.values[name], effect.std[name]
+    found, std = seen[joint]
     if found <= HALF_WIDTH * std:
         raise IdentificationError(
             f"known mass: these logs show {number(found)} ± "

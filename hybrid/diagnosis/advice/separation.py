@@ -166,11 +166,8 @@ class Discrimination:
 
         The torque that one rival predicts is appended to the recordings, and both are
         fitted to all of it, shapes included. A law that is a limit of the other cannot
-        be distinguished from it if it is the true one.
-
-        Returns:
-            Difference of evidence if the first is true, and if the second is, over the
-            difference that is required; 1 or more if they are distinguished.
+        be distinguished from it if it is the true one. The difference if the first is
+        true, and that if the second is, are over the one that is required.
         """
         tried = tried_shapes(self._search)
 

@@ -63,35 +63,24 @@ class Shrink:
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect that explains part of the gap.
+    """One effect that explains part of the gap."""
 
-    Attributes:
-        effect: Id of the effect.
-        joints: Names of the joints where it acts.
-        alternatives: Ids of effects that explain as much, its own first.
-        share: Share of the explained gap (Shapley value), 0 to 1.
-        parameters: Fitted parameters.
-        shrink: The gap without and with it at its joints, in ``torque`` and ``motion``.
-        sentence: What the effect is, in words.
-        remedy: What to do about it.
-        chances: Probability of each alternative, mean over its joints; empty where
-            none was computed, as for the command.
-        probability: Probability that one of them is there, at the joint where it is
-            least. The rest is that of other effects, of an unknown law, and of none.
-        note: What the values rest on, in words; empty if on the logs alone.
-    """
-
-    effect: str
-    joints: tuple[str, ...]
-    alternatives: tuple[str, ...]
-    share: float
+    effect: str  # id
+    joints: tuple[str, ...]  # names of the joints where it acts
+    alternatives: tuple[str, ...]  # ids of effects that explain as much, its own first
+    share: float  # of the explained gap (Shapley value), 0 to 1
     parameters: tuple[Value, ...]
+    # The gap without and with it at its joints, in ``torque`` and ``motion``.
     shrink: Mapping[str, Shrink]
-    sentence: str
-    remedy: str
+    sentence: str  # what the effect is, in words
+    remedy: str  # what to do about it
+    # Probability of each alternative, mean over its joints; empty where none was
+    # computed, as for the command.
     chances: tuple[float, ...] = ()
+    # That one of them is there, at the joint where it is least. The rest is that of
+    # other effects, of an unknown law, and of none.
     probability: float = np.nan
-    note: str = ""
+    note: str = ""  # what the values rest on; empty if on the logs alone
 
 
 @dataclass(frozen=True)

@@ -51,13 +51,9 @@ def findings(
 ) -> tuple[Finding, ...]:
     """Group the terms of an explanation by effect; largest share first.
 
-    Args:
-        scored: Explanation, scored on held-out samples.
-        effects: Effect of each term with its final values.
-        kinds: Effects that explain as much as each term, with their probabilities, its
-            own first; none for a term in place of an unknown law.
-        parts: Share of each term in what is explained, shape (terms,).
-        rng: Random generator of the bootstrap.
+    Each term has its effect with final values; the kinds of effects that explain as
+    much, with their probabilities, its own first, or none in place of an unknown law;
+    and its share in what is explained, shape (terms,).
     """
     gap = scored.gap
     grouped: dict[str, list[int]] = {}

@@ -62,11 +62,8 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
     """Find the parts of the gap with more excess than their share of the samples.
 
     A joint as a whole is the variable ``link``. Noise, whose RMS has shape (n,), [N·m],
-    is assumed to be white up to the cut-off.
-
-    Returns:
-        Regions with a significant excess, at 5 % for all of them together; largest
-        lead over their share of the samples first. None if there is no gap.
+    is assumed to be white up to the cut-off. The excess is significant at 5 % for all
+    regions together; the largest lead over the share of samples comes first.
     """
     histograms = list(_histograms(gap, np.maximum(noise, 1e-12)))
     whole = [c for c in histograms if c.variable == "link"]
