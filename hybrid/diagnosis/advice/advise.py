@@ -79,11 +79,8 @@ def advise(
     for one that other motion shows, it is a wide motion.
     Joints that did not move enough get a ladder of speeds.
 
-    Args:
-        result: A diagnosis with its intermediate results.
-        rng: Random generator of motions.
-        directory: A folder that exists, for references as CSV files (time, position,
-            speed, acceleration); nothing is written by default.
+    Motions are drawn by ``rng``. References are written as CSV files (time, position,
+    speed, acceleration) to a directory, which exists, if one is given.
     """
     rate = min(_RATE, 1.0 / result.gap.period)
     menu = Menu(result.gap.robot, rng, rate=rate)

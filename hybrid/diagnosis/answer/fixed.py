@@ -34,14 +34,9 @@ def write_fixed(
     the difference. A comment at its top lists what MJCF cannot express;
     ``model.json`` has all findings. Without findings both are the simulator as it is.
 
-    Args:
-        result: A diagnosis with its intermediate results.
-        directory: A folder that exists.
-        home: Folder to which the files are moved afterwards; paths of meshes are
-            relative to it. ``directory`` by default.
-
-    Returns:
-        Findings that MJCF expresses only approximately, or not at all.
+    The folder exists. If files are moved to another folder afterwards, their ``home``,
+    paths of meshes are relative to that. Findings are returned that MJCF expresses only
+    approximately, or not at all.
 
     Raises:
         EffectError: An effect cannot be simulated.

@@ -89,9 +89,8 @@ class Replay:
 def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     """Simulate all motions, training samples included, restarted every half second.
 
-    Returns:
-        Positions at the samples of the gap by the simulator's file, and by the
-        simulator with the findings, shape (M, n), [rad]; NaN where there is no window.
+    Positions are at the samples of the gap, by the simulator's file and with the
+    findings, shape (M, n), [rad]; NaN where there is no window.
 
     Raises:
         EffectError: An effect cannot be simulated.
@@ -133,11 +132,9 @@ def _motions(gap: Gap, wanted: Mask) -> tuple[tuple[Motion, ...], list[Mask], In
 
 
 def windows_of(usable: Sequence[Mask], rate: float) -> tuple[float | None, Windows]:
-    """Choose windows in the usable samples of motions, shape (N,) each; rate in [Hz].
+    """Windows in the usable samples of motions, (N,) each, and their length, [s].
 
-    Returns:
-        Length of the windows, [s], and the windows; None and no windows if there are
-        too few.
+    There are none, of no length, if they are too few.
     """
     for horizon in HORIZONS:
         span = max(1, round(horizon * rate))

@@ -44,12 +44,10 @@ def measure_gap(
 ) -> Gap:
     """Measure the gap between logs and a simulator.
 
-    Args:
-        robot: The simulator, with the friction that its file declares.
-        recordings: Checked logs of the real arm, or motions made from them.
-        cutoff: Cut-off, [Hz]; chosen from the spectrum of positions if not given.
-        band: Bandwidth of the logged torque, [Hz]: no higher frequency is compared.
-        correct: Correction of each motion; see :mod:`.convention`.
+    Recordings are checked logs of the real arm, or motions made from them. The cut-off
+    is in [Hz], chosen from the spectrum of positions if not given; above the band of
+    logged torque, [Hz], nothing is compared. Motions may be corrected; see
+    :mod:`.convention`.
 
     Raises:
         RecordingError: A recording has no torque, or there are motions alone and no
