@@ -13,9 +13,9 @@ from simulated import arm
 
 from hybrid.diagnosis.advice import menu as menu_module
 from hybrid.diagnosis.advice.advise import (
-    Discriminations,
     Plan,
     _caution,
+    _discrimination,
     _for_not_excited,
     _for_servos,
     _for_unexplained,
@@ -24,7 +24,6 @@ from hybrid.diagnosis.advice.advise import (
     choose,
 )
 from hybrid.diagnosis.advice.menu import (
-    Envelope,
     Experiment,
     Menu,
     concatenated,
@@ -124,8 +123,15 @@ def test_a_link_without_mass_carries_at_its_origin():
     np.testing.assert_allclose(heavy[0], [0.5, *np.zeros(9)])
 
 
+def menu_with(**known):
+    """A menu for one joint, with some of its properties."""
+    made = Menu(pendulum(), np.random.default_rng(0), rate=50.0)
+    made.__dict__.update(known)
+    return made
+
+
 def test_an_envelope_of_an_arm_without_geometry_is_its_limits():
-    envelope = Envelope.of(pendulum())
+    envelope = menu_with()
     assert envelope.clearance is None
     assert envelope.limits.high == pytest.approx([1.6])  # 80 % of two radians
     slow, fast = path(speed=0.5), path(speed=9.0)
@@ -135,7 +141,7 @@ def test_an_envelope_of_an_arm_without_geometry_is_its_limits():
 
 
 def test_the_first_safe_try_of_twelve_is_taken():
-    envelope, tried = Envelope.of(pendulum()), []
+    envelope, tried = menu_with(), []
 
     def make(k):
         tried.append(k)
@@ -150,7 +156,7 @@ def test_the_first_safe_try_of_twelve_is_taken():
 
 
 def test_an_arm_with_a_payload_is_checked_with_it():
-    envelope, slow = Envelope.of(pendulum()), path(speed=0.5)
+    envelope, slow = menu_with(), path(speed=0.5)
     heavy = with_payload(pendulum(), 60.0)
     with pytest.raises(ExcitationError, match="torque"):
         envelope.checked(slow, heavy)
@@ -166,7 +172,7 @@ def test_only_postures_that_differ_are_checked_and_the_closest_links_named():
         return np.column_stack([at.q[:, 0] - limit, at.q[:, 0] - 2 * limit])
 
     clearance = SimpleNamespace(pairs=[(0, 1)], names=("a", "b"), excess=excess)
-    envelope = replace(Envelope.of(pendulum()), clearance=clearance)
+    envelope = menu_with(clearance=clearance)
     limit, slow = 0.6, path(speed=0.5)
     assert envelope.checked(slow) is slow
     limit = 0.4
@@ -174,7 +180,7 @@ def test_only_postures_that_differ_are_checked_and_the_closest_links_named():
         envelope.checked(slow)
     # Half a radian to either side, in steps of a hundredth.
     assert asked[0] == len(np.unique(np.round(slow.q / 0.01))) < 100
-    none = replace(envelope, clearance=SimpleNamespace(pairs=[], excess=None))
+    none = menu_with(clearance=SimpleNamespace(pairs=[], excess=None))
     assert none.checked(slow) is slow
 
 
@@ -261,10 +267,7 @@ def test_poses_are_eight_and_the_first_again_or_at_least_four():
                 raise HybridError("no room")
             return move
 
-        envelope = made.envelope
-        made.__dict__["envelope"] = SimpleNamespace(
-            limits=envelope.limits, first_safe=lambda make: make(0), checked=checked
-        )
+        made.first_safe, made.checked = (lambda make: make(0)), checked
         if count is None:
             with pytest.raises(HybridError, match="too few poses"):
                 made._poses()
@@ -464,10 +467,10 @@ class Foreseen:
     def __init__(self, menu, **told):
         self.menu, self.told, self.asked = menu, told, []
 
-    def about(self, joint, *, warm):
+    def about(self, joint):
         return self.menu
 
-    def __getitem__(self, experiment):
+    def tell(self, experiment):
         size, *told = self.told.get(experiment.name, (0.0, 0.0, 0.0))
 
         def contrast(*_):
@@ -477,16 +480,23 @@ class Foreseen:
         return SimpleNamespace(separation=lambda *_: size, contrast=contrast)
 
 
+def chosen_of(foreseen, *given):
+    return choose(foreseen, foreseen.tell, *given)
+
+
+def named(name):
+    return SimpleNamespace(id=name)
+
+
 RIVALS = tuple(
-    SimpleNamespace(effect=SimpleNamespace(id=x), evidence=0.0)
-    for x in ("coulomb", "viscous")
+    SimpleNamespace(effect=named(x), evidence=0.0) for x in ("coulomb", "viscous")
 )
 
 
 def test_the_most_telling_of_those_that_tell_is_chosen():
     listed, chosen = experiments(), []
     told = {"one": (9.0, 1.3, 1.4), "two": (8.0, 2.0, 1.5), "three": (7.0, 9.0, 1.1)}
-    plan = choose(Foreseen(listed, **told), (0,), RIVALS, chosen)
+    plan = chosen_of(Foreseen(listed, **told), (0,), RIVALS, chosen)
     assert plan.experiment is listed[1] and chosen == [listed[1]]
     assert plan.advice == Advice("run two (10 s)", ("coulomb", "viscous"), 8.0)
 
@@ -494,7 +504,7 @@ def test_the_most_telling_of_those_that_tell_is_chosen():
 @pytest.mark.parametrize(("contrast", "enough"), [(1.19, False), (1.21, True)])
 def test_the_required_evidence_is_exceeded_by_a_fifth(contrast, enough):
     foreseen = Foreseen(experiments(), one=(9.0, contrast, contrast))
-    found = choose(foreseen, (0,), RIVALS, [])
+    found = chosen_of(foreseen, (0,), RIVALS, [])
     assert (found is not None) == enough
 
 
@@ -502,7 +512,7 @@ def test_the_required_evidence_is_exceeded_by_a_fifth(contrast, enough):
 def test_an_experiment_that_separates_too_little_is_not_worked_out(size, asked):
     """Half its square is at most a fifth of log 20."""
     foreseen = Foreseen(experiments(), one=(size, 9.0, 9.0))
-    choose(foreseen, (0,), RIVALS, [])
+    chosen_of(foreseen, (0,), RIVALS, [])
     assert foreseen.asked == asked
 
 
@@ -511,11 +521,11 @@ def test_four_are_worked_out_and_the_rest_only_where_none_tells():
     told = {f"x{k}": (10.0 + k, 0.0, 0.0) for k in range(6)}
     foreseen = Foreseen([*many, Experiment("heavy", path(), mass=1.0)], **told)
     foreseen.told["heavy"] = (99.0, 5.0, 5.0)
-    plan = choose(foreseen, (0,), RIVALS, [])
+    plan = chosen_of(foreseen, (0,), RIVALS, [])
     assert foreseen.asked == ["x5", "x4", "x3", "x2", "heavy"]
     assert plan.experiment.name == "heavy"
     foreseen.told["x3"], foreseen.asked = (13.0, 2.0, 2.0), []
-    assert choose(foreseen, (0,), RIVALS, []).experiment.name == "x3"
+    assert chosen_of(foreseen, (0,), RIVALS, []).experiment.name == "x3"
     assert "heavy" not in foreseen.asked
 
 
@@ -523,16 +533,16 @@ def test_what_is_advised_already_is_taken_first_if_it_is_plain():
     listed = experiments()
     told = {x: (9.0, 2.0, 2.0) for x in ("two", "heavy")} | {"one": (99.0, 9.0, 9.0)}
     chosen = [listed[1]]
-    again = choose(Foreseen(listed, **told), (0,), RIVALS, chosen)
+    again = chosen_of(Foreseen(listed, **told), (0,), RIVALS, chosen)
     assert again.experiment is listed[1] and chosen == [listed[1]]
     chosen = [listed[3]]
-    other = choose(Foreseen(listed, **told), (0,), RIVALS, chosen)
+    other = chosen_of(Foreseen(listed, **told), (0,), RIVALS, chosen)
     assert other.experiment is listed[0] and chosen == [listed[3], listed[0]]
 
 
 def test_one_of_two_is_confirmed_where_nothing_tells_both():
     told = {"one": (9.0, 0.1, 2.0), "two": (8.0, 3.0, 0.2), "three": (7.0, 2.5, 0.2)}
-    plan = choose(Foreseen(experiments(), **told), (0,), RIVALS, [])
+    plan = chosen_of(Foreseen(experiments(), **told), (0,), RIVALS, [])
     assert plan.experiment.name == "two"
     text = "run two (10 s); it shows Coulomb friction, or how small it is"
     assert plan.advice.experiment == text and plan.advice.separation == 8.0
@@ -540,30 +550,27 @@ def test_one_of_two_is_confirmed_where_nothing_tells_both():
 
 def test_warm_drives_are_for_laws_that_warm():
     """Experiments with other gains tell nothing of the arm's own torque."""
-    menu = SimpleNamespace(
-        about=lambda joint: [
-            Experiment("cold", path()), Experiment("warm", path(), start=1200.0),
-            Experiment("gains", path(), gains=True),
-        ]
-    )  # fmt: skip
-    search = SimpleNamespace(gap=gap_of())
-    made = Discriminations(SimpleNamespace(search=search), menu)
-    assert [x.name for x in made.about(0, warm=False)] == ["cold"]
-    assert [x.name for x in made.about(0, warm=True)] == ["cold", "warm"]
+    listed = [
+        Experiment("cold", path()), Experiment("warm", path(), start=1200.0),
+        Experiment("gains", path(), gains=True),
+    ]  # fmt: skip
+    for other, asked in (("viscous", ["cold"]), ("thermal_friction", ["cold", "warm"])):
+        every = {x.name: (9.0, 0.0, 0.0) for x in listed}
+        foreseen, kinds = Foreseen(listed, **every), ("coulomb", other)
+        rivals = (SimpleNamespace(effect=named(x), evidence=0.0) for x in kinds)
+        assert chosen_of(foreseen, (0,), tuple(rivals), []) is None
+        assert foreseen.asked == asked
 
 
 def test_what_a_payload_is_carried_on_is_diagnosed_alone(monkeypatch):
-    search = SimpleNamespace(gap=gap_of())
-    module = sys.modules[Discriminations.__module__]
+    search, recorded = SimpleNamespace(gap=gap_of()), object()
+    module = sys.modules[_discrimination.__module__]
     monkeypatch.setattr(module, "Discrimination", lambda *given: given)
-    made = Discriminations(SimpleNamespace(search=search), None)
     plain, heavy = Experiment("cold", path()), Experiment("heavy", path(), mass=0.5)
-    assert made[plain] is made[plain]  # made once
-    for experiment, alone in ((plain, False), (heavy, True)):
-        found, ahead, recorded = made[experiment]
-        assert found is search and (recorded is None) == alone
+    for experiment, told in ((plain, recorded), (heavy, None)):
+        found, ahead, known = _discrimination(search, recorded, experiment)
+        assert found is search and known is told
         assert ahead.rate == pytest.approx(search.gap.rate)
-    assert len(made[plain][2].motions[0].t) < len(search.gap.motions[0].t)
 
 
 def test_effects_at_two_joints_are_named_with_their_joints():
@@ -734,10 +741,7 @@ def test_the_menu_asks_for_motions_of_some_length_and_share_of_the_limits(monkey
         monkeypatch.setattr(menu_module, name, noted(name))
     monkeypatch.setattr(menu_module, "at_speeds", lambda robot, path: [path])
     made = Menu(pendulum(2), np.random.default_rng(0), rate=50.0)
-    made.__dict__["envelope"] = SimpleNamespace(
-        limits=Envelope.of(pendulum(2)).limits,
-        first_safe=lambda make, arm=None: make(1),
-    )
+    made.first_safe = lambda make, arm=None: make(1)
     made._poses = lambda: None
     assert len(made.of_all_joints) == 7
     random = {"fundamental": 0.1, "duration": 20.0, "fill": 0.6 * 0.85}

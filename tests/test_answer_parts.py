@@ -8,9 +8,8 @@ import pytest
 from pendulum import gap_of, pendulum, with_torque
 
 from hybrid.diagnosis import diagnose as diagnose_module
-from hybrid.diagnosis import verdict as verdict_module
 from hybrid.diagnosis.answer import command, events, motion_gap
-from hybrid.diagnosis.answer.command import Link, _excess, _plausible, _Servo
+from hybrid.diagnosis.answer.command import _excess, _plausible, _Servo
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Shrink, Unseen
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import (
@@ -18,10 +17,10 @@ from hybrid.diagnosis.answer.findings import (
     finding_of,
     findings,
     fitted_values,
+    shrunk,
     torque_shrink,
 )
 from hybrid.diagnosis.answer.fixed import _servo_notes, fixed_model, fixed_simulator
-from hybrid.diagnosis.answer.intervals import shrunk
 from hybrid.diagnosis.answer.links import delay_finding
 from hybrid.diagnosis.answer.motion_gap import (
     _in_motion,
@@ -38,14 +37,14 @@ from hybrid.diagnosis.answer.regions import (
     locate,
 )
 from hybrid.diagnosis.answer.replay import (
-    _mean_squares,
+    Replay,
     _motions,
     _starts,
     simulated_positions,
     windows_of,
 )
 from hybrid.diagnosis.answer.simulator import corrected, scored_effects
-from hybrid.diagnosis.answer.unseen import left_unseen, unseen
+from hybrid.diagnosis.answer.unseen import unseen
 from hybrid.diagnosis.diagnose import _drop_improbable
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.convention import Convention
@@ -466,8 +465,9 @@ def test_no_region_is_told_of_an_arm_that_stands_or_has_no_gap():
 
 
 def test_a_motion_error_is_at_most_half_a_turn_and_its_start_does_not_count():
-    error = np.array([[[9.0]], [[1.0]], [[np.nan]], [[-50.0]]])
-    found = _mean_squares(error)
+    made = object.__new__(Replay)
+    made._error = lambda *_: np.array([[[9.0]], [[1.0]], [[np.nan]], [[-50.0]]])
+    found = made.squares_of((), step=1e-3)
     assert found == pytest.approx(np.array([[(1.0 + 2 * np.pi**2) / 3]]))
 
 
@@ -542,17 +542,18 @@ class Replayed:
 
     horizon, step = 0.5, 1e-3
     effects = (Coulomb((0,), {"level": 1.0}),)
-    all_terms = frozenset([0])
 
     def __init__(self, before, after):
         self.before, self.after = before, after
         self.scored = SimpleNamespace(gap=SimpleNamespace(robot=pendulum(2)))
 
-    def squares(self, terms, step=None):
-        assert terms == self.all_terms
-        return np.tile([self.after**2, 99.0], (5, 1))
+    def windows_with(self, members):
+        assert members == []
+        return np.arange(5)
 
     def squares_of(self, effects):
+        if effects is self.effects:
+            return np.tile([self.after**2, 99.0], (5, 1))
         self.given = effects
         return np.tile([self.before**2, 99.0], (5, 1))
 
@@ -837,27 +838,7 @@ def test_a_better_fit_has_evidence_and_leaves_less_on_held_out_samples(monkeypat
         assert command._better(None, None, fit(1.0), fit(left)) == better
 
 
-def test_findings_of_a_servo_are_merged_by_the_squares_they_explain():
-    late = finding_of(CommandLatency, ["a"], (), ())
-    link = Link((late,), (), np.array([3.0]), np.zeros((1, 1)))
-    other = replace(finding_of(Coulomb, ["a"], (), ()), share=1.0)
-    first, second = link.merged([other], 1.0)
-    assert (first.effect, first.share) == ("command_latency", 0.75)
-    assert second.share == 0.25
-    assert link.merged([], 0.0)[0].share == 1.0
-
-
 # --- unseen motions -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("after", "left"), [(1.5, 0.0), (2.5, 1.0 / 7.5)])
-def test_noise_may_leave_half_as_much_again(after, left):
-    """Of ten samples and a variance of one: squares of 15."""
-    x = SimpleNamespace(before=[np.full(10, 3.0)], after=[np.full(10, after**0.5)])
-    account = SimpleNamespace(noise=np.ones(1))
-    expected = max(10 * after - 15, 0) / (90 - 15)
-    assert left_unseen(x, account) == pytest.approx(expected)
-    assert expected == pytest.approx(left, abs=0.02)
 
 
 def test_the_gap_unseen_is_an_rms_before_and_after_and_at_its_ceiling(monkeypatch):
@@ -884,12 +865,10 @@ def test_the_gap_unseen_is_an_rms_before_and_after_and_at_its_ceiling(monkeypatc
 # --- the verdict ----------------------------------------------------------------------
 
 
-def verdict(explained, missed, causes=("f",), left=0.0, *, doubtful=False, little=None):
+def verdict(explained, missed, causes=("f",), left=0.0, *, doubtful=False):
     explained, missed = np.array(explained, float), np.array(missed, float)
     found = Account(explained + missed, missed, 0 * missed, missed, ())
-    with pytest.MonkeyPatch.context() as m:
-        m.setattr(verdict_module, "too_little_motion", lambda gap: little)
-        return verdict_of(None, found, causes, left, doubtful=doubtful)
+    return verdict_of(found, causes, left, doubtful=doubtful)
 
 
 def test_a_gap_is_explained_where_nothing_is_missed():
@@ -899,7 +878,6 @@ def test_a_gap_is_explained_where_nothing_is_missed():
     assert verdict([9.0], [0.0], left=0.11) == ("partly_explained", 0.11)
     assert verdict([9.0], [0.0], doubtful=True) == ("partly_explained", 0.0)
     assert verdict([1.0], [9.0])[0] == "partly_explained"
-    assert verdict([9.0], [0.0], little="short") == ("not_excited", 1.0)
 
 
 def test_without_a_cause_a_gap_is_unexplained_if_anything_is_missed():
@@ -913,9 +891,7 @@ def test_causes_of_other_joints_do_not_explain_a_joint():
     for part, word in ((0.055, "partly_explained"), (0.045, "explained")):
         found = Account(np.array([1e4, 1.0]), np.array([0.0, 1.0]),
                         np.array([0.0, 1.0 - part]), np.ones(2), ())  # fmt: skip
-        with pytest.MonkeyPatch.context() as m:
-            m.setattr(verdict_module, "too_little_motion", lambda gap: None)
-            assert verdict_of(None, found, ("f",), 0.0, doubtful=False)[0] == word
+        assert verdict_of(found, ("f",), 0.0, doubtful=False)[0] == word
     mostly = verdict([1.0, 0.06], [0.0, 0.05])  # more of it is explained
     assert mostly[0] == "explained"
 
@@ -1016,7 +992,6 @@ def test_two_effects_of_a_servo_share_by_what_each_adds_alone_and_last():
     assert gains == pytest.approx(5 * ((25.0 - 1.0) + (81.0 - 16.0)) / 2)
     alone = servo(late=5.0, free=4.0, whole=1.0)
     assert alone.share(ControllerGain) == pytest.approx(5 * 24.0)
-    assert alone.share(CommandLatency) == 0.0
 
 
 @pytest.mark.parametrize("scale", [False, True])
@@ -1087,42 +1062,40 @@ def test_links_that_cannot_exist_become_the_nearest_ones_that_can():
     assert np.sqrt(np.mean(felt**2)) < 0.05 * np.sqrt(np.mean(gap.measured**2))
 
 
-def test_replays_of_the_same_terms_are_simulated_once(monkeypatch):
+def test_replays_of_the_same_effects_are_simulated_once(monkeypatch):
     from hybrid.diagnosis.answer import replay
 
-    made = object.__new__(replay.Replay)
-    made.scored, made.effects, made._errors = None, ("a", "b"), {}
-    ran = []
+    made, ran = object.__new__(Replay), []
+    made.scored, made.motions, made._errors = None, (), {}
+    made.windows = SimpleNamespace(of=lambda motions: 0.0)
+    made.effects = two = ("a", "b")
 
-    def error(effects, step):
+    def rollout(robot, effects, motions, windows, *, step):
         ran.append((tuple(effects), step))
         diverges = step > 3e-4 and len(effects) == 2
         return np.full((3, 1, 1), np.nan if diverges else 0.5)
 
-    monkeypatch.setattr(made, "_error", error)
-    assert made.all_terms == {0, 1} and made.step == 3e-4
-    assert ran == [(("a", "b"), 1e-3), (("a", "b"), 3e-4)]
-    assert made.squares([1]) == pytest.approx(np.array([[0.25]]))
-    assert made.squares([1, 0]) == pytest.approx(np.array([[0.25]]))
+    monkeypatch.setattr(replay, "corrected", lambda scored, effects: (None, effects))
+    monkeypatch.setattr(replay, "rollout", rollout)
+    assert made.step == 3e-4
+    assert ran == [(two, 1e-3), (two, 3e-4)]
+    assert made.squares_of(["b"]) == pytest.approx(np.array([[0.25]]))
+    assert made.squares_of(two) == pytest.approx(np.array([[0.25]]))
     assert ran[2:] == [(("b",), 3e-4)]
-    made.squares([1], step=1e-4)
+    made.squares_of(["b"], step=1e-4)
     assert ran[3:] == [(("b",), 1e-4)]
-    assert made.squares_of(["c"]) == pytest.approx(np.array([[0.25]]))
-    assert ran[-1] == (("c",), 3e-4)
-    none = object.__new__(replay.Replay)
-    none.effects, none._errors = ("a", "b"), {}
-    monkeypatch.setattr(none, "_error", lambda *_: np.array([[[np.nan]]]))
+    none = object.__new__(Replay)
+    none.effects, none._error = two, lambda *_: np.array([[[np.nan]]])
     assert none.step == 1e-3
 
 
 def test_windows_count_in_which_a_term_has_a_hundredth_of_the_most():
-    from hybrid.diagnosis.answer import replay
     from hybrid.plant.rollout import Windows
 
     rows = [np.arange(2, 14)]
     torque = np.zeros(12)
     torque[0:4], torque[4:8], torque[8:12] = 1.0, 0.11, 0.09  # samples 2 to 13
-    made = object.__new__(replay.Replay)
+    made = object.__new__(Replay)
     made.scored = SimpleNamespace(
         gap=SimpleNamespace(fold=np.zeros(14)),
         evidence=SimpleNamespace(rows=rows, noise=np.array([2.0])),

@@ -28,7 +28,7 @@ HEALTHY = [
 
 def logs(more=(), seed=1, count=4):
     plant = Plant(ROBOT, [*HEALTHY, *more], nominal=ROBOT, noise=Noise.typical(ROBOT))
-    return simulate(plant, trajectories=count, duration=6.0, seed=seed)
+    return simulate(plant, trajectories=count, duration=4.5, seed=seed)
 
 
 @pytest.fixture(scope="module")

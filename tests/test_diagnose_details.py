@@ -10,11 +10,10 @@ import pytest
 from coarse import Plant, simulate
 from simulated import arm, quiet
 
-from hybrid.diagnosis.advice.menu import Experiment, gap_along
-from hybrid.diagnosis.answer.command import _gain_errors, _Servo
+from hybrid.diagnosis.answer.command import _gain_errors
 from hybrid.diagnosis.answer.diagnosis import Diagnosis
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.intervals import shrunk
+from hybrid.diagnosis.answer.findings import shrunk
 from hybrid.diagnosis.answer.simulator import corrected
 from hybrid.diagnosis.diagnose import examine
 from hybrid.diagnosis.evidence.contacts import _Clock
@@ -23,14 +22,12 @@ from hybrid.diagnosis.gap.background import background
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.dynamics import RigidBody
 from hybrid.effects.actuator_lag import ActuatorLag
-from hybrid.effects.command_latency import CommandLatency
-from hybrid.effects.controller_gain import ControllerGain
 from hybrid.effects.counterbalance import Counterbalance
 from hybrid.effects.delay import Delay
 from hybrid.effects.elasticity import Elasticity
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.errors import RecordingError
-from hybrid.plant import Noise, random_fourier
+from hybrid.plant import Noise
 from hybrid.plant.joint_fields import declared_effects
 from hybrid.plant.rollout import _before_report
 from hybrid.recording import Recording
@@ -90,34 +87,6 @@ def test_of_a_joint_that_does_not_move_nothing_is_said_to_be_measured():
     still, moving = found["gap"]
     for name, value in (("rms", 2.0), ("relative", 0.5), ("noise", 0.1)):
         assert (still[name], moving[name]) == (None, value)
-
-
-def test_two_effects_of_a_servo_share_what_they_explain_together():
-    """Each by what it adds, alone and beside the other (Shapley)."""
-    both = CommandLatency, ControllerGain
-    sizes = {(False, False): 9.0, (True, False): 5.0, (False, True): 4.0}
-    fits = {
-        key: SimpleNamespace(left=np.full(10, size))
-        for key, size in {**sizes, (True, True): 1.0}.items()
-    }
-    servo = _Servo(0, None, None, fits, both, (), noise=2.0, scale=False)
-    late, off = map(servo.share, both)
-    assert late + off == pytest.approx(5 * (9.0**2 - 1.0**2))
-    assert late == pytest.approx(5 * ((4.0**2 - 1.0**2) + (9.0**2 - 5.0**2)) / 2)
-    alone = replace(servo, found=both[:1])
-    assert alone.share(both[0]) == pytest.approx(5 * (4.0**2 - 1.0**2))
-    assert alone.share(both[1]) == 0.0
-
-
-@pytest.mark.parametrize("rate", [100.0, 1000.0])
-def test_what_is_expected_along_an_experiment_starts_when_it_does(rate):
-    gap = measure_gap(*quiet_logs())
-    reference = random_fourier(arm("planar"), duration=6.0, rate=rate, seed=0)
-    later = gap_along(gap, Experiment("once more", reference, start=1200.0))
-    (motion,) = later.motions
-    assert motion.t[0] == 1200.0 and motion.t[-1] == pytest.approx(1206.0, abs=0.1)
-    np.testing.assert_allclose(np.diff(motion.t), 1 / gap.motions[0].rate)
-    assert not later.left.any()
 
 
 def test_gains_of_a_servo_are_off_by_their_part_however_small_they_are():

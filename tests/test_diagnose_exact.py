@@ -10,7 +10,6 @@ from pendulum import NOISE, RATE, pendulum, swings, with_torque
 from hybrid.diagnosis.answer.command import Link
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region
 from hybrid.diagnosis.answer.findings import finding_of
-from hybrid.diagnosis.answer.intervals import interval, shrunk
 from hybrid.diagnosis.answer.links import merged_links
 from hybrid.diagnosis.answer.motion_gap import (
     motion_shrink,
@@ -402,21 +401,6 @@ class TestWhere:
         assert self.placed(lambda m, gap: 0 * m.t) == ()
 
 
-def test_an_interval_is_that_of_the_mean_over_blocks():
-    x = np.random.default_rng(0).normal(3.0, 1.0, 100)
-    low, high = interval(lambda k: x[k].mean(axis=1), 100, np.random.default_rng(0))
-    assert low == pytest.approx(x.mean() - 0.196, abs=0.03)
-    assert high == pytest.approx(x.mean() + 0.196, abs=0.03)
-    assert interval(lambda k: x[k].mean(axis=1), 1, np.random.default_rng(0)) == (0, 1)
-
-
-def test_a_fall_is_of_root_mean_squares():
-    squares = np.array([[4.0] * 10, [1.0] * 10])
-    found = shrunk(squares, 10, "N", np.random.default_rng(0))
-    assert (found.before, found.after, found.removed) == (2.0, 1.0, 0.5)
-    assert found.interval == pytest.approx((0.5, 0.5)) and found.unit == "N"
-
-
 @pytest.mark.parametrize(
     "effect",
     [
@@ -500,6 +484,9 @@ def test_regions_of_both_links_share_what_is_left():
         SimpleNamespace(explained=np.array([200.0, 0.0]), missed=np.zeros(2)),
         gap, link, np.random.default_rng(0),
     )  # fmt: skip
+    sound = replace(diagnosis, verdict="no_gap", where=())
+    alone = merged_links(sound, account, gap, link, np.random.default_rng(0))
+    assert alone.verdict == "explained" and alone.where[0].share == 1.0
     shares = [r.share for r in of_both.where]
     assert shares == sorted(shares, reverse=True) and len(shares) == 3
     assert sum(f.share for f in of_both.findings) == pytest.approx(1.0)

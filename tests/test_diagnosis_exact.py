@@ -1,17 +1,15 @@
 """Parts of a diagnosis against sums that are worked out here."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pendulum import NOISE, RATE, gap_of, pendulum, swings, with_torque
 
-from hybrid.diagnosis.answer.diagnosis import Region, Value
+from hybrid.diagnosis.answer.diagnosis import Value
 from hybrid.diagnosis.answer.events import events_at_rest
-from hybrid.diagnosis.answer.findings import finding_of, implausible
-from hybrid.diagnosis.answer.intervals import interval, shrunk
-from hybrid.diagnosis.answer.links import merged_links
+from hybrid.diagnosis.answer.findings import finding_of, implausible, interval, shrunk
 from hybrid.diagnosis.answer.motion_gap import (
     motion_shrink,
     rollout_agrees,
@@ -71,76 +69,23 @@ def test_what_is_removed_is_a_part_of_the_rms():
     assert (none.before, none.after, none.removed) == (0.0, 0.0, 0.0)
 
 
-def merged(above, excess, verdict="partly_explained", where=True, explained=3.0):
-    """Findings of a servo beside those of an arm of two joints."""
-    gap = SimpleNamespace(
-        moving=np.ones((4, 2), dtype=bool),
-        left=np.sqrt(above / 8 + 1) * np.ones((4, 2)),
-    )
-    region = Region("a", "speed", 0.0, 1.0, "rad/s", 0.6, (0.5, 0.8))
-    small = replace(region, share=0.05, interval=(0.02, 0.1))
-    diagnosis = Named(
-        joints=("a", "b"), findings=("f",), noise_floor=np.ones(2), verdict=verdict,
-        where=(region, small) if where else (), unexplained=0.4,
-    )  # fmt: skip
-    account = SimpleNamespace(explained=np.array([explained]), missed=np.array([2.0]))
-    link = SimpleNamespace(
-        findings=("g",), excess=excess, squares=np.array([5.0]),
-        merged=lambda findings, part: (*findings, "g", part),
-    )  # fmt: skip
-    rng = np.random.default_rng(0)
-    return merged_links(diagnosis, account, gap, link, rng), diagnosis, link
-
-
-@dataclass(frozen=True)
-class Named:
-    joints: tuple
-    findings: tuple
-    noise_floor: np.ndarray
-    verdict: str
-    where: tuple
-    unexplained: float
-
-
-def test_shares_of_two_links_are_of_the_squares_of_both():
-    excess = np.array([[0.0, 6.0], [0.0, 4.0], [0.0, 10.0]])
-    found, _, _ = merged(60.0, excess)
-    assert found.findings == ("f", "g", 3.0) and found.verdict == "partly_explained"
-    assert found.unexplained == pytest.approx(0.4 * 5.0 / 10.0)
-    first, servo, last = found.where
-    assert first.share == pytest.approx(0.6 * 0.75)
-    assert first.interval == pytest.approx((0.5 * 0.75, 0.8 * 0.75))
-    assert (servo.joint, servo.variable, servo.unit) == (
-        "b",
-        "link",
-        "command to torque",
-    )
-    assert servo.share == pytest.approx(20.0 / 80.0) and last.share < servo.share
-    low, high = servo.interval
-    assert 12.0 / 72.0 <= low < 0.25 < high <= 30.0 / 90.0
-    found, _, _ = merged(60.0, excess, verdict="unexplained", where=False)
-    assert found.verdict == "partly_explained" and found.where[0].share == 1.0
-    assert merged(60.0, excess, verdict="no_gap")[0].verdict == "explained"
-
-
 # --- motion ---------------------------------------------------------------------------
 
 
 class Replayed:
     """Squared motion errors by term; windows of two joints and three times."""
 
-    horizon, step, effects = 0.2, 0.002, ()
+    horizon, step = 0.2, 0.002
 
     def __init__(self, worth, halved=1.0):
-        self.worth, self.halved = worth, halved
-        self.all_terms = frozenset(range(len(worth)))
+        self.effects, self.halved = worth, halved
         gap = SimpleNamespace(robot=pendulum(2))
         self.scored = SimpleNamespace(
             gap=gap, left=lambda terms: terms, without=lambda *k: k, before=(), after=()
         )
 
-    def squares(self, terms, step=None):
-        rms = 0.5 - sum(self.worth[k] for k in terms)
+    def squares_of(self, effects, step=None):
+        rms = 0.5 - sum(effects)
         rms = rms * (self.halved if step == self.step / 2 else 1.0)
         return (
             np.tile((rms * np.linspace(0.9, 1.1, 9)[:, None]) ** 2, (1, 2))[:, :, None]
@@ -539,16 +484,3 @@ def test_faults_are_at_their_samples_and_told_with_their_share():
     frozen = faults_of(q=put(slice(400, 440), 0, None))
     assert frozen.notes == ("log: position of a is frozen for 4%",)
     assert np.flatnonzero(frozen.posture).tolist() == list(range(400, 440))
-
-
-@pytest.mark.parametrize("at", [330, 500])
-def test_a_jump_of_torque_spoils_the_samples_on_either_side(at):
-    def leap(x):
-        x[at:, 0] += 6.0
-        return x
-
-    found = faults_of(tau=leap)
-    assert np.flatnonzero(found.posture).tolist() == [at - 1, at]
-    (note,) = found.notes
-    assert note.startswith("log: torque of a jumps while the joint moves, first at")
-    assert f"at {0.01 * (at - 1):.3g} s, faster" in note

@@ -5,11 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pendulum import NOISE, RATE, gap_of, pendulum, swings, with_torque
+from pendulum import RATE, gap_of, pendulum, swings
 from scipy.interpolate import CubicSpline
 
 from hybrid.diagnosis.answer import command
-from hybrid.diagnosis.answer.events import events_at_rest
 from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, listed
 from hybrid.diagnosis.answer.regions import (
     _decade_edges,
@@ -28,7 +27,7 @@ from hybrid.diagnosis.explanations.servo_fit import (
     log_likelihood_ratio,
 )
 from hybrid.diagnosis.gap.coverage import not_excited, reversals
-from hybrid.diagnosis.gap.faults import Faults, find_faults
+from hybrid.diagnosis.gap.faults import Faults
 from hybrid.diagnosis.gap.measure import (
     _around,
     block_seconds,
@@ -40,7 +39,6 @@ from hybrid.diagnosis.gap.servo import LATENCIES, ServoLog, laws
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.viscous import Viscous
-from hybrid.inspect.stuck import _usual_run, stretches
 from hybrid.recording import Recording
 from hybrid.signals import autocorrelation_time
 
@@ -175,91 +173,6 @@ def test_columns_that_are_asked_for_again_are_those_of_the_same_effect():
     assert kept[0] is kept[1] and kept[2] is not kept[3]
     for e, x in zip(reversed(effects), reversed(kept), strict=True):
         np.testing.assert_array_equal(x[0], fresh.columns(e)[0])
-
-
-# --- faults ---------------------------------------------------------------------------
-
-
-def moving_log(**changed):
-    (m, *_) = swings(1, count=1, seconds=10.0)
-    torque = with_torque(m, (), NOISE)
-    log = Recording(m.t, m.q, tau=torque.tau, joints=m.joints, source="log")
-    return replace(log, **changed)
-
-
-def test_a_sound_log_has_no_faults():
-    found = find_faults(moving_log())
-    assert found.notes == () and not found.posture.any() and not found.torque.any()
-
-
-def test_torque_that_stays_while_the_arm_moves_is_frozen():
-    tau = moving_log().tau.copy()
-    tau[300:500] = tau[300]
-    found = find_faults(moving_log(tau=tau))
-    assert found.notes[0] == "log: torque of hinge_0 is frozen for 20%"
-    assert np.flatnonzero(found.torque[:, 0]).tolist() == list(range(300, 500))
-
-
-def test_torque_at_its_limit_is_saturated():
-    tau = np.clip(moving_log().tau, -8.0, 8.0)
-    found = find_faults(moving_log(tau=tau))
-    (note,) = found.notes
-    assert "saturated" in note
-    assert (found.torque[:, 0] <= (np.abs(tau[:, 0]) == 8.0)).all()
-
-
-def test_an_encoder_that_stays_and_jumps_is_frozen():
-    q = moving_log().q.copy()
-    q[300:340] = q[300]
-    found = find_faults(moving_log(q=q))
-    assert "log: position of hinge_0 is frozen for 4%" in found.notes
-    assert found.posture[300:340].all() and not found.posture[:250].any()
-
-
-def test_a_leap_of_torque_on_the_way_is_left_out():
-    (m, *_) = swings(1, count=1)
-    t = np.arange(0.0, 10.0, 1 / RATE)
-    q = np.sin(0.5 * t)[:, None]
-    tau = np.where(t < 1.0, 0.0, 5.0)[:, None] + 0.01 * np.sin(3 * t)[:, None]
-    found = find_faults(Recording(t, q, tau=tau, joints=m.joints, source="log"))
-    (note,) = found.notes
-    assert "torque of hinge_0 jumps while the joint moves, first at 0.99 s" in note
-    assert np.flatnonzero(found.posture).tolist() == [99, 100]
-
-
-def test_a_run_is_long_by_what_a_sensor_does_otherwise():
-    x = np.repeat([0, 1, 2, 3, 4, 5], [5, 9, 7, 3, 2, 1])
-    # Runs that end: 5, 9, 7, 3, 2; the third longest is 5.
-    assert _usual_run(x) == 15
-    assert _usual_run(np.repeat([0, 1, 2], 4)) == 0
-    assert stretches(np.array([0, 1, 1, 0, 1], dtype=bool)) == [
-        slice(1, 3),
-        slice(4, 5),
-    ]
-
-
-# --- events ---------------------------------------------------------------------------
-
-
-def test_a_push_at_rest_is_told_with_its_torque_and_force():
-    t = np.arange(0.0, 6.0, 1 / RATE)
-    (m, *_) = swings(1, count=1)
-    q, zero = np.full((len(t), 1), 0.5), np.zeros((len(t), 1))
-    mask = np.ones(len(t), dtype=bool)
-    still = replace(m, t=t, q=q, v=zero, a=zero, mask=mask, tau=zero)
-    held = with_torque(still, (), 0.02)
-    tau = held.tau.copy()
-    tau[(t >= 2.0) & (t < 2.6)] += 3.0
-    for size, count in ((1.0, 1), (0.1, 0)):  # 0.3 N·m of 60 is nothing
-        pushed = held.tau + size * (tau - held.tau)
-        gap = measure_gap(pendulum(), [replace(held, tau=pushed)], cutoff=CUTOFF)
-        events = events_at_rest(gap)
-        assert len(events) == count
-    gap = measure_gap(pendulum(), [replace(held, tau=tau)], cutoff=CUTOFF)
-    (event,) = events_at_rest(gap)
-    assert (event.start, event.end) == pytest.approx((2.0, 2.6), abs=0.1)
-    assert event.torque == pytest.approx((3.0,), rel=0.15)
-    assert event.recording == "swing 0"
 
 
 # --- the law of a servo ---------------------------------------------------------------

@@ -7,7 +7,7 @@ from hybrid.diagnosis.gap.faults import (
     _leaps,
     find_faults,
 )
-from hybrid.inspect.stuck import _clipped, _moving, _usual_run, repeats
+from hybrid.inspect.stuck import _clipped, _moving, _usual_run, repeats, stretches
 from hybrid.recording import Recording
 
 STEP = 2.0**-6  # s; steps of time and position without rounding errors
@@ -100,6 +100,8 @@ def test_a_run_counts_where_some_joint_moves_for_more_than_half_of_it():
 def test_a_usual_run_is_the_third_longest_of_three_or_more():
     assert _usual_run(np.repeat([0, 1, 2, 3], [4, 6, 5, 1])) == 12
     assert _usual_run(np.repeat([0, 1, 2], [4, 6, 5])) == 0
+    runs = stretches(np.array([0, 1, 1, 0, 1], dtype=bool))
+    assert runs == [slice(1, 3), slice(4, 5)]
 
 
 def held(top, *, length=3, count=1000, low=0.5):

@@ -30,7 +30,7 @@ PAYLOAD = effect_class("payload")((0, 1), LOAD)
 def logs(more=(), seed=1, scale=SCALE):
     """Logs of drives whose gains are all off by one factor."""
     plant = Plant(ROBOT, list(more), nominal=ROBOT, noise=Noise.typical(ROBOT))
-    found = simulate(plant, trajectories=4, duration=6.0, seed=seed)
+    found = simulate(plant, trajectories=4, duration=4.5, seed=seed)
     return [replace(x, tau=scale * x.tau) for x in found]
 
 

@@ -18,6 +18,8 @@ from hybrid.effects.spring import Spring
 from hybrid.plant.scale import joint_scales
 from hybrid.robot import Robot
 
+SHORT = {"trajectories": 2, "duration": 4.0, "log_rate": 250.0}
+
 
 def rubbing(robot):
     """The arm with rotors and friction of usual size, as public files have none."""
@@ -37,7 +39,7 @@ def logs(name, kind=""):
         "spring": [Spring((1,), {"stiffness": 1.5 * rated})],
         "tilt": [GravityTilt(every, {"roll": 0.15, "pitch": -0.1})],
     }[kind]
-    return robot, quiet(simulate, robot, effects, trajectories=2, duration=5.0)[0]
+    return robot, quiet(simulate, robot, effects, **SHORT)[0]
 
 
 def said(robot, recordings):

@@ -3,17 +3,21 @@
 from dataclasses import replace
 from functools import cache
 
-import diagnosed
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pendulum import gap_of
 from simulated import arm
 
-from hybrid.diagnosis.advice.menu import Experiment, Menu, gap_along, with_payload
+from hybrid.diagnosis.advice.menu import Menu, gap_along
 from hybrid.dynamics import RigidBody, inverse_dynamics
 from hybrid.errors import ExcitationError
-from hybrid.plant import random_fourier
+
+
+def recorded():
+    """A gap of the planar arm."""
+    return replace(gap_of(size=2, count=1), robot=arm("planar"))
 
 
 @cache
@@ -56,7 +60,7 @@ def test_every_experiment_of_the_menu_is_there_and_safe(name):
         r = experiment.reference
         assert keeps_the_limits(robot, r, experiment.arm(robot)), experiment.name
         np.testing.assert_allclose(r.q[0], r.q[-1], atol=1e-6)
-        every = menu.envelope.clearance.distance(r.q[::20])
+        every = menu.clearance.distance(r.q[::20])
         assert every.min() > 0.005, experiment.name
 
 
@@ -84,49 +88,18 @@ def test_a_menu_is_safe_on_whatever_arm(seed, part, weak):
 
 
 def test_links_that_come_too_close_are_refused():
-    envelope = menu_of("coman_like").envelope
-    (move, *_) = [x for x in menu_of("coman_like").about(1) if "poses" in x.name]
-    least = envelope.clearance.distance(move.reference.q).min()
-    assert envelope.checked(move.reference) is move.reference
-    wide = replace(envelope.clearance, margin=1.05 * least)
+    menu = menu_of("coman_like")
+    (move, *_) = [x for x in menu.about(1) if "poses" in x.name]
+    least = menu.clearance.distance(move.reference.q).min()
+    assert menu.checked(move.reference) is move.reference
+    strict = Menu(arm("coman_like"), np.random.default_rng(0), rate=100.0)
+    strict.clearance = replace(menu.clearance, margin=1.05 * least)
     with pytest.raises(ExcitationError, match="closeness"):
-        replace(envelope, clearance=wide).checked(move.reference)
-
-
-def test_a_carried_mass_weighs_at_the_centre_of_the_last_link():
-    robot = arm("planar")
-    heavy = with_payload(robot, 2.0)
-    q, rest = np.array([[0.3, -0.4]]), np.zeros((1, 2))
-    holding, before = (
-        inverse_dynamics(x.chain, x.chain.inertial, q, rest, rest)
-        for x in (heavy, robot)
-    )
-    own = robot.chain.inertial.copy()
-    own[:-1] = 0.0
-    alone = inverse_dynamics(robot.chain, own, q, rest, rest)
-    np.testing.assert_allclose(holding - before, alone * 2.0 / own[-1, 0])
-
-
-@pytest.mark.study
-def test_a_gap_along_an_experiment_is_of_the_simulator_and_empty():
-    rng = np.random.default_rng(0)
-    path = random_fourier(arm("planar"), duration=5.0, rate=250.0, seed=rng)
-    ahead = gap_along(diagnosed.planar().gap, Experiment("a motion", path))
-    assert not ahead.left.any()
-    (motion,) = ahead.motions
-    np.testing.assert_allclose(path.at(motion.t)[0], motion.q, atol=1e-9)
-    assert motion.rate == pytest.approx(diagnosed.planar().gap.motions[0].rate)
-    assert ahead.moving.any(axis=0).all()
-
-
-def test_a_warm_drive_is_as_old_as_it_is_said_to_be():
-    (warm,) = [x for x in menu_of("planar").of_all_joints if x.start > 0]
-    ahead = gap_along(diagnosed.planar().gap, warm)
-    assert ahead.motions[0].t[0] == warm.start
+        strict.checked(move.reference)
 
 
 def test_along_an_experiment_with_a_mass_the_simulator_carries_it():
     (carry,) = [x for x in menu_of("planar").of_all_joints if x.mass > 0]
-    ahead = gap_along(diagnosed.planar().gap, carry)
+    ahead = gap_along(recorded(), carry)
     bare = RigidBody(arm("planar").chain, ahead.motions[0]).load
     assert np.abs(ahead.bodies[0].load - bare).max() > 0.1

@@ -196,7 +196,7 @@ def test_the_step_is_one_with_which_nothing_diverges(monkeypatch, stable, chosen
     monkeypatch.setattr(replaying, "rollout", unstable)
     replay = Replay(explained(("coulomb",), ("coulomb",)))
     assert replay.step == chosen
-    lost = np.allclose(replay.squares(replay.all_terms), np.pi**2)
+    lost = np.allclose(replay.squares_of(replay.effects), np.pi**2)
     assert lost == (stable == 0.0)
 
 

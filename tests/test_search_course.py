@@ -521,7 +521,7 @@ def test_parts_of_a_servo_s_log_have_its_samples():
     gap = measure_gap(pendulum(), logs, cutoff=10.0)
     (log,) = servo_logs(gap, logs)
     use = np.arange(len(gap.left)) % 3 == 0
-    part = log.only(use)
+    part = log.at(use[log.row])
     assert (part.row % 3 == 0).all() and len(part.row) == (log.row % 3 == 0).sum()
     np.testing.assert_array_equal(part.own, log.own[log.row % 3 == 0])
     step = len(log.row) // 2000
@@ -628,7 +628,7 @@ def advised(rivals, plans):
     """Plans for some pairs, of stated choices; and what was fitted and asked."""
     fitted, asked = [], []
 
-    def choose(discriminations, joints, both, chosen):
+    def choose(menu, told, joints, both, chosen):
         asked.append((joints, both, id(chosen)))
         return plans.pop(0)
 
@@ -643,7 +643,7 @@ def advised(rivals, plans):
         )  # fmt: skip
         m.setattr(advise_module, "choose", choose)
         m.setattr(advise_module, "_placed", lambda search, plan, both: ("placed", plan))
-        found = list(_between(result, None))
+        found = list(_between(result, None, None))
     return found, fitted, asked
 
 

@@ -70,7 +70,7 @@ def motion_error(result: Result, truth: Sequence[Effect]) -> MotionError | None:
         replay = Replay(explain(having(search, chosen)))
         if replay.horizon != _HORIZON:
             return np.nan
-        squares = replay.squares(replay.all_terms)[:, joints]
+        squares = replay.squares_of(replay.effects)[:, joints]
         return float(np.median(np.sqrt(squares.mean(axis=1))))
 
     try:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from hybrid.arguments import typed
 from hybrid.diagnosis.advice.advise import advise
 from hybrid.diagnosis.answer.command import command_link
-from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Verdict
+from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import findings, implausible
 from hybrid.diagnosis.answer.links import delay_finding, merged_links
@@ -23,7 +24,7 @@ from hybrid.diagnosis.answer.words import effect_words, effects_listed, headline
 from hybrid.diagnosis.evidence.candidates import Candidate, Term
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.evidence.logs import measured, since_first
-from hybrid.diagnosis.explanations.account import Account, account
+from hybrid.diagnosis.explanations.account import account
 from hybrid.diagnosis.explanations.belief import is_known
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.explanation import Explanation, explain, shares
@@ -155,23 +156,14 @@ def _examined(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
 
 @dataclass(frozen=True, eq=False)
 class _Case:
-    """Corrected logs and their gap.
+    """Corrected logs and their gap."""
 
-    Attributes:
-        recordings: The corrected logs.
-        logged: Their logging convention.
-        gap: Their gap.
-        as_logged: The gap without the correction for torque that another clock stamped.
-        without: Ids of effects to leave out of the library.
-        healthy: The model of the healthy arm, if that is the simulator.
-    """
-
-    recordings: Sequence[Recording | Motion]
+    recordings: Sequence[Recording | Motion]  # the corrected logs
     logged: Convention
     gap: Gap
-    as_logged: Gap
-    without: tuple[str, ...]
-    healthy: Baseline | None
+    as_logged: Gap  # without the correction for torque that another clock stamped
+    without: tuple[str, ...]  # ids of effects to leave out of the library
+    healthy: Baseline | None  # the model of the healthy arm, if that is the simulator
 
     @classmethod
     def of(
@@ -182,16 +174,16 @@ class _Case:
         without: Sequence[str],
     ) -> _Case:
         """Correct logs and measure their gap; see :func:`diagnose`."""
-        healthy = None
+        healthy, band = None, None
         if isinstance(robot, DynamicModel):
             healthy = Baseline(robot)
             robot, without = healthy.robot, [*without, *healthy.inborn]
-        recordings, band = since_first(checked_logs(robot, recordings)), None
+        recordings = since_first(checked_logs(robot, recordings))
         if healthy:
             recordings, band = healthy.subtract_from(recordings)
-        delay = effect_at(Port.MEASUREMENT, shifts=True)
+        clocks = _delay() not in without
         logged, recordings, *gaps = measured(
-            robot, recordings, cutoff, clocks=delay.id not in without, band=band
+            robot, recordings, cutoff, clocks=clocks, band=band
         )
         gap, as_logged = map(healthy.with_subtracted, gaps) if healthy else gaps
         return cls(recordings, logged, gap, as_logged, tuple(without), healthy)
@@ -207,22 +199,34 @@ class _Case:
         return Unlike("", "") if self.too_little else unlike(self.gap)
 
 
-def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
-    """Explain the torque of some logs."""
-    gap, logged = case.gap, case.logged
-    doubts = [x for x in (case.too_little, case.unlike.doubt) if x]
+def _delay() -> str:
+    """Id of the effect that torque is logged late."""
+    return effect_at(Port.MEASUREMENT, shifts=True).id
+
+
+def _searched(case: _Case, tell: Progress) -> Search:
+    """Search for causes, unless there is too little motion to name one."""
+    gap = case.gap
     # A delay of all torque is corrected already.
-    late = [effect_at(Port.MEASUREMENT, shifts=True).id] if logged.clocks else []
+    late = [_delay()] if case.logged.clocks else []
     tell("trying every effect at every joint", 0.05)
     search = Search(gap, split(gap), without=[*case.without, *late])
-    if not case.too_little:
-        tell("looking for the most probable explanation", 0.2)
+    if case.too_little:
+        return search
+    tell("looking for the most probable explanation", 0.2)
+    search.run(tell)
+    once = search.happened_in_test()
+    if once.any():
+        tell("looking again, with what happened once", 0.5)
+        search = Search(gap, search.learn | once, search.pool.without)
         search.run(tell)
-        once = search.happened_in_test()
-        if once.any():
-            tell("looking again, with what happened once", 0.5)
-            search = Search(gap, search.learn | once, search.pool.without)
-            search.run(tell)
+    return search
+
+
+def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
+    """Explain the torque of some logs."""
+    gap, logged, search = case.gap, case.logged, _searched(case, tell)
+    doubts = [x for x in (case.too_little, case.unlike.doubt) if x]
     reached = account(search).ceiling
     named, alike = _drop_improbable(search, doubts)
     found, far = account(search, reached), search.doubtful_joints(search.causes)
@@ -236,9 +240,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
     certain = [c for c, kind, name in each if kind or name != c.place[0]]
     shown, left = unseen(search, found, certain), left_unseen(scored, found)
     causes = findings(scored, effects, kinds, shares(search, rng), rng)
-    untested = [f.effect for f in causes if _is_untested(f, scored)]
-    doubts += [_UNTESTED.format(effects_listed(untested, "and"))] if untested else []
-    doubts += implausible(causes)
+    doubts += [*_untested(scored, causes), *implausible(causes)]
     error, typical = search.file_error, search.prior.file_errors[1]
     if error > typical:
         doubts.append(_FILE_ERRORS.format(error) if error < 1 else _PLACEHOLDERS)
@@ -247,37 +249,46 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         causes, effects = apart.merged(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
     doubtful = bool(far or case.unlike.short) or (not causes and error > typical)
-    verdict = verdict_of(gap, found, causes, left, doubtful=doubtful)
-    diagnosis = replace(
-        _diagnosis(case.as_logged, search, found, causes, *verdict),
+    verdict, unexplained = verdict_of(found, causes, left, doubtful=doubtful)
+    if case.too_little:
+        verdict, unexplained = "not_excited", 1.0
+    healthy = case.healthy
+    diagnosis = Diagnosis(
+        **_sizes(case.as_logged),
+        noise_floor=tuple(map(float, np.sqrt(found.noise))),
+        where=(),
+        findings=causes,
+        verdict=verdict,
+        unexplained=unexplained,
+        background=error,
         unseen=shown,
-        events=(
-            *contacts_in_motion(scored.gap, effects),
-            *events_at_rest(case.as_logged),
-        ),
+        events=(*contacts_in_motion(gap, effects), *events_at_rest(case.as_logged)),
         warnings=(*gap.notes, *logged.notes),
-        doubts=(*doubts, *(case.healthy.doubts(effects) if case.healthy else ())),
+        doubts=(*doubts, *(healthy.doubts(effects) if healthy else ())),
         unlike=case.unlike.short,
     )
-    healthy = case.healthy.model.effects if case.healthy else ()
-    return Result(diagnosis, case.as_logged, search, scored, found, effects,
-                  rivals=alike, baseline=healthy)  # fmt: skip
+    return Result(
+        diagnosis, case.as_logged, search, scored, found, effects, rivals=alike,
+        baseline=healthy.model.effects if healthy else (),
+    )  # fmt: skip
+
+
+def _untested(scored: Explanation, causes: Sequence[Finding]) -> Iterator[str]:
+    """That some causes act in no held-out motion."""
+    ids = [f.effect for f in causes]
+    seen = {x: scored.where_seen(scored.members(x)) for x in ids}
+    if untested := [x for x in ids if seen[x] is not scored]:
+        yield _UNTESTED.format(effects_listed(untested, "and"))
 
 
 def _drop_improbable(
     search: Search, doubts: list[str]
 ) -> tuple[dict[Cause, dict[str, float]], dict[Term, tuple[Candidate, ...]]]:
-    """Remove causes from a search that are less probable than an unknown law.
-
-    Args:
-        search: A search that has run.
-        doubts: Warnings, to which those of an uncertain joint are added.
-
-    Returns:
-        The effects that may be in each cause's place at its joint, with their
-        probabilities, its own first; and the rivals of each: these alternatives, the
-        most probable one at another joint, and those that only priors tell from it.
-    """
+    """Remove causes from a search that are less probable than an unknown law."""
+    # What is left is told by the effects that may be in each cause's place at its
+    # joint, with their probabilities, its own first; and by the rivals of each: these,
+    # the most probable one at another joint, which is doubted, and those that only
+    # priors tell from it.
     beliefs = [b for b in search.beliefs if b.worth > 0 and is_known(search, b.cause)]
     kept = {b.cause for b in beliefs}
     search.causes = [c for c in search.causes if c.candidate is None or c in kept]
@@ -300,34 +311,18 @@ def _drop_improbable(
     return kinds, alike
 
 
-def _is_untested(finding: Finding, scored: Explanation) -> bool:
-    return scored.where_seen(scored.members(finding.effect)) is not scored
-
-
-def _diagnosis(
-    gap: Gap,
-    search: Search,
-    found: Account,
-    effects: Sequence[Finding],
-    verdict: Verdict,
-    unexplained: float,
-) -> Diagnosis:
+def _sizes(gap: Gap) -> dict[str, Any]:
+    """The arm, what its motions lack, and the size of its gap by joint."""
     count = np.maximum(gap.moving.sum(axis=0), 1)
     rms, size = (
         np.sqrt((np.where(gap.moving, x, 0.0) ** 2).sum(axis=0) / count)
         for x in (gap.left, gap.measured)
     )
-    return Diagnosis(
-        robot=gap.robot.name,
-        joints=gap.robot.joints,
-        rms=tuple(map(float, rms)),
-        relative=tuple(map(float, rms / np.where(size > 0, size, np.inf))),
-        noise_floor=tuple(map(float, np.sqrt(found.noise))),
-        where=(),
-        findings=tuple(effects),
-        verdict=verdict,
-        unexplained=unexplained,
-        background=search.file_error,
-        units=gap.robot.chain.units("N·m"),
-        not_excited=not_excited(gap),
-    )
+    return {
+        "robot": gap.robot.name,
+        "joints": gap.robot.joints,
+        "units": gap.robot.chain.units("N·m"),
+        "not_excited": not_excited(gap),
+        "rms": tuple(map(float, rms)),
+        "relative": tuple(map(float, rms / np.where(size > 0, size, np.inf))),
+    }

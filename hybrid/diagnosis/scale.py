@@ -73,21 +73,22 @@ def _check_payloads(robot: Robot, known: Mapping[str, float]) -> None:
 
 def in_doubt(diagnosis: Diagnosis) -> Diagnosis:
     """The same with intervals of masses that allow for an error of the drive gains."""
-    found = []
-    for f in diagnosis.findings:
-        law = effect_class(f.effect)
-        if law.weighed:
-            name, gain = law.weighed
-            spread = effect_class(gain).gains[0].deviation
-            values = [_scaled(law, v, 1.0, spread) for v in f.parameters]
-            notes = [
-                _DOUBT.format(*value_cells(wide)[:2], spread, value_cells(v)[1])
-                for v, wide in zip(f.parameters, values, strict=True)
-                if v.name == name
-            ]
-            f = replace(f, parameters=tuple(values), note=" ".join(notes))
-        found.append(f)
-    return replace(diagnosis, findings=tuple(found))
+    return replace(diagnosis, findings=tuple(map(_doubted, diagnosis.findings)))
+
+
+def _doubted(finding: Finding) -> Finding:
+    law = effect_class(finding.effect)
+    if law.weighed is None:
+        return finding
+    name, gain = law.weighed
+    spread = effect_class(gain).gains[0].deviation
+    values = [_scaled(law, v, 1.0, spread) for v in finding.parameters]
+    notes = [
+        _DOUBT.format(*value_cells(wide)[:2], spread, value_cells(v)[1])
+        for v, wide in zip(finding.parameters, values, strict=True)
+        if v.name == name
+    ]
+    return replace(finding, parameters=tuple(values), note=" ".join(notes))
 
 
 def settled(
@@ -95,11 +96,8 @@ def settled(
 ) -> Diagnosis:
     """The same with the scale of torque, and with masses in true units.
 
-    Args:
-        diagnosis: What has changed since a model was healthy.
-        effects: The effects found, with their values.
-        known: Mass of what was mounted on the link that a joint moves, by the joint's
-            name, [kg].
+    Known are masses of what was mounted since the model was healthy on the link that a
+    joint moves, by the joint's name, [kg].
 
     Raises:
         IdentificationError: The logs show no mass there, or hardly one.
@@ -125,15 +123,16 @@ def _scale(
     diagnosis: Diagnosis, effects: Sequence[Effect], joint: str, known: float
 ) -> tuple[float, float]:
     """Scale of torque by a known mass, and its standard deviation."""
-    seen = {diagnosis.joints[e.joints[-1]]: e for e in effects if e.weighed}
+    seen = {
+        diagnosis.joints[e.joints[-1]]: (e.values[e.weighed[0]], e.std[e.weighed[0]])
+        for e in effects if e.weighed
+    }  # fmt: skip
     if joint not in seen:
         where = f"valid is {', '.join(seen)}" if seen else "they show none at all"
         raise IdentificationError(
             f"known mass: these logs show no mass that was mounted at {joint}; {where}"
         )
-    effect = seen[joint]
-    name = effect.weighed[0] if effect.weighed else ""
-    found, std = effect.values[name], effect.std[name]
+    found, std = seen[joint]
     if found <= HALF_WIDTH * std:
         raise IdentificationError(
             f"known mass: these logs show {number(found)} ± "
@@ -161,10 +160,8 @@ def _in_true_units(
 
 
 def _scaled(law: type[Effect], v: Value, scale: float, spread: float) -> Value:
-    """A gain over a scale that has a relative standard deviation, or a shape as it is.
-
-    Their errors are taken to be independent.
-    """
+    """A gain over a scale with a relative standard deviation; a shape as it is."""
+    # Their errors are taken to be independent.
     if v.name not in {g.name for g in law.gains}:
         return v
     more = HALF_WIDTH * spread * v.value

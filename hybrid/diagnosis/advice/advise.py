@@ -1,9 +1,10 @@
 """Advise experiments that distinguish candidate effects."""
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,9 @@ _ISOLATING = (
 )
 
 
+_Told = Callable[[Experiment], Discrimination]
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Advice with its experiment, before anything is written."""
@@ -75,15 +79,14 @@ def advise(
     for one that other motion shows, it is a wide motion.
     Joints that did not move enough get a ladder of speeds.
 
-    Args:
-        result: A diagnosis with its intermediate results.
-        rng: Random generator of motions.
-        directory: A folder that exists, for references as CSV files (time, position,
-            speed, acceleration); nothing is written by default.
+    Motions are drawn by ``rng``. References are written as CSV files (time, position,
+    speed, acceleration) to a directory, which exists, if one is given.
     """
     rate = min(_RATE, 1.0 / result.gap.period)
     menu = Menu(result.gap.robot, rng, rate=rate)
-    between = _between(result, Discriminations(result, menu))
+    search = result.search
+    told = cache(partial(_discrimination, search, decimated(search.gap)))
+    between = _between(result, menu, told)
     plans = [
         *sorted(between, key=lambda plan: -plan.advice.separation),
         *(_for_unexplained(result, menu) or _for_unforetold(result, menu)),
@@ -121,29 +124,15 @@ def _caution(gap: Gap, experiment: Experiment) -> str:
     return _CAUTION.format(deeper) if deeper > _DEEPER else ""
 
 
-class Discriminations:
-    """The discrimination of each experiment of a menu, made on demand."""
-
-    def __init__(self, result: Result, menu: Menu) -> None:
-        self._search, self._menu = result.search, menu
-        self._recorded = decimated(result.search.gap)
-        self._known: dict[Experiment, Discrimination] = {}
-
-    def about(self, joint: int, *, warm: bool) -> list[Experiment]:
-        """Experiments that move a joint; those with warm drives only if ``warm``."""
-        found = self._menu.about(joint)
-        return [x for x in found if not x.gains and (warm or x.start == 0)]
-
-    def __getitem__(self, experiment: Experiment) -> Discrimination:
-        if experiment not in self._known:
-            ahead = gap_along(self._search.gap, experiment)
-            recorded = self._recorded if experiment.mass == 0 else None
-            found = Discrimination(self._search, ahead, recorded)
-            self._known[experiment] = found
-        return self._known[experiment]
+def _discrimination(
+    search: Search, recorded: Gap, experiment: Experiment
+) -> Discrimination:
+    """The discrimination of an experiment; one with a payload is diagnosed alone."""
+    ahead = gap_along(search.gap, experiment)
+    return Discrimination(search, ahead, None if experiment.mass else recorded)
 
 
-def _between(result: Result, discriminations: Discriminations) -> Iterator[Plan]:
+def _between(result: Result, menu: Menu, told: _Told) -> Iterator[Plan]:
     """An experiment for each pair of a term and a candidate that explains as much."""
     search, joints = result.search, result.gap.robot.joints
     pairs = [(term, c) for term, others in result.rivals.items() for c in others]
@@ -160,7 +149,7 @@ def _between(result: Result, discriminations: Discriminations) -> Iterator[Plan]
             continue
         both = rival(term, term.candidate), rival(term, other)
         at = dict.fromkeys(c.place[1][-1] for c in (term, other))
-        plan = choose(discriminations, tuple(at), both, chosen[term])
+        plan = choose(menu, told, tuple(at), both, chosen[term])
         if plan is not None:
             yield plan if len(at) == 1 else _placed(search, plan, (term, other))
 
@@ -176,7 +165,8 @@ def _placed(search: Search, plan: Plan, both: Sequence[Term | Candidate]) -> Pla
 
 
 def choose(
-    discriminations: Discriminations,
+    menu: Menu,
+    told: _Told,
     joints: Sequence[int],
     rivals: tuple[Rival, Rival],
     chosen: list[Experiment],
@@ -190,27 +180,26 @@ def choose(
     """
     splits = rivals[0].effect.id, rivals[1].effect.id
     warm = any(effect_class(x).warms for x in splits)
-    about = (x for j in joints for x in discriminations.about(j, warm=warm))
-    menu = list(dict.fromkeys(about))
+    about = dict.fromkeys(x for j in joints for x in menu.about(j) if not x.gains)
     known = [x for x in chosen if x.plain]
-    plain = [x for x in menu if x.plain and x not in known]
+    plain = [x for x in about if x.plain and x not in known]
+    prepared = [x for x in about if not x.plain and (warm or x.start == 0)]
     least = (_MARGIN - 1) * required_evidence(rivals[0].evidence)
     one: tuple[float, Plan | None] = _MARGIN, None
-    for tried in (known, plain, [x for x in menu if not x.plain]):
-        sizes = [discriminations[x].separation(*rivals) for x in tried]
+    for tried in (known, plain, prepared):
+        sizes = [told(x).separation(*rivals) for x in tried]
         both: tuple[float, Plan | None] = _MARGIN, None
         for k in np.argsort(sizes)[: -_SHORTLIST - 1 : -1]:
             # Half the square is an upper bound of the evidence.
             if sizes[k] ** 2 / 2 < least:
                 break
-            contrast = discriminations[tried[k]].contrast(*rivals)
-            text = _run(tried[k])
+            contrast = told(tried[k]).contrast(*rivals)
             if min(contrast) > both[0]:
-                both = min(contrast), Plan(Advice(text, splits, sizes[k]), tried[k])
+                both = min(contrast), _plan(tried[k], splits, sizes[k])
             if max(contrast) > one[0]:
-                confirmed = splits[int(np.argmax(contrast))]
-                text += _IF_ANY.format(effect_words(confirmed))
-                one = max(contrast), Plan(Advice(text, splits, sizes[k]), tried[k])
+                shown = effect_words(splits[int(np.argmax(contrast))])
+                text = _IF_ANY.format(shown)
+                one = max(contrast), _plan(tried[k], splits, sizes[k], text)
         if both[1] is not None:
             break
     found = both[1] or one[1]
@@ -232,10 +221,8 @@ def _for_unexplained(result: Result, menu: Menu) -> tuple[Plan, ...]:
 
 
 def _for_unforetold(result: Result, menu: Menu) -> tuple[Plan, ...]:
-    """A wide motion, if these logs are explained but do not foretell held-out motion.
-
-    The values of the causes are not well known then, and other motion tells them.
-    """
+    """A wide motion, if logs are explained but do not foretell held-out motion."""
+    # The values of the causes are not well known then, and other motion tells them.
     unseen = result.diagnosis.unseen
     if unseen is None or not result.diagnosis.findings:
         return ()
@@ -252,34 +239,33 @@ def _of_kind(
     wanted: str, menu: Menu, joint: int, *, size: float = 0.0, more: str = ""
 ) -> tuple[Plan, ...]:
     """The first experiment about a joint whose name starts as wanted, if there is."""
-    for x in menu.about(joint):
-        if x.name.startswith(wanted):
-            return (Plan(Advice(_run(x) + more, (), float(size)), x),)
-    return ()
+    found = (x for x in menu.about(joint) if x.name.startswith(wanted))
+    return tuple(_plan(x, (), size, more) for x in islice(found, 1))
 
 
 def _for_not_excited(result: Result, menu: Menu) -> Iterator[Plan]:
     """A ladder of speeds for joints that did not move, or in one direction only."""
-    count = 0
-    for j, name in enumerate(result.gap.robot.joints):
-        still = any(
-            text == name or text.startswith((f"{name} does", f"{name} moving"))
-            for text in result.diagnosis.not_excited
-        )
-        for experiment in menu.ladder(j) if still and count < _MOST_JOINTS else ():
-            count += 1
-            yield Plan(Advice(_run(experiment), (), 0.0), experiment)
+    said = result.diagnosis.not_excited
+    still = [
+        j for j, name in enumerate(result.gap.robot.joints)
+        if name in said
+        or any(x.startswith((f"{name} does", f"{name} moving")) for x in said)
+    ]  # fmt: skip
+    return islice((_plan(x) for j in still for x in menu.ladder(j)), _MOST_JOINTS)
 
 
 def _for_servos(result: Result, menu: Menu) -> Iterator[Plan]:
     """A run with other servo gains, if findings of a servo are not distinguished."""
     for finding in result.diagnosis.findings:
         ids = finding.alternatives
-        if len(ids) < 2 or effect_class(ids[0]).port is not Port.COMMAND:
-            continue
-        for experiment in menu.of_all_joints:
-            if experiment.gains:
-                yield Plan(Advice(_run(experiment), ids, 0.0), experiment)
+        if len(ids) > 1 and effect_class(ids[0]).port is Port.COMMAND:
+            yield from (_plan(x, ids) for x in menu.of_all_joints if x.gains)
+
+
+def _plan(
+    x: Experiment, splits: tuple[str, ...] = (), size: float = 0.0, more: str = ""
+) -> Plan:
+    return Plan(Advice(_run(x) + more, splits, float(size)), x)
 
 
 def _run(experiment: Experiment) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Self
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from hybrid.excitation.experiments import (
 from hybrid.identification.preparation import STANDING
 from hybrid.plant.reference import Reference, random_fourier
 from hybrid.robot import Robot
+from hybrid.robot.spatial import inertial_about
 from hybrid.signals import Motion, Sampler
 
 _SAME_POSTURE = 0.01  # rad or m
@@ -42,32 +43,49 @@ _PAYLOADS = (0.5, 0.25, 0.125)  # times the median mass of a link
 
 
 @dataclass(frozen=True, eq=False)
-class Envelope:
-    """80 % of the limits in a robot file, and the clearance of its links."""
+class Experiment:
+    """A motion to run, with its conditions."""
 
-    robot: Robot
-    limits: Limits
-    # Clearance of 1 cm between links; None if the file has no geometry.
-    clearance: Clearance | None
+    name: str  # as it follows the word "run"
+    reference: Reference
+    start: float = 0.0  # time since the drives were switched on, [s]
+    mass: float = 0.0  # payload at the centre of mass of the last link, [kg]
+    gains: bool = False  # whether to run it with other servo gains as well
 
-    @classmethod
-    def of(cls, robot: Robot) -> Self:
-        """Make the envelope of a robot."""
-        limits, clearance = Limits.of(robot), None
-        with warnings.catch_warnings(), suppress(RobotError):  # no geometry
+    @property
+    def plain(self) -> bool:
+        """Whether the motion needs no preparation."""
+        return self.start == 0 and self.mass == 0 and not self.gains
+
+    def arm(self, robot: Robot) -> Robot:
+        """The arm with the payload of the experiment."""
+        return with_payload(robot, self.mass) if self.mass else robot
+
+
+class Menu:
+    """Experiments with an arm, within 80 % of its limits and clear of its links.
+
+    Motions are drawn by ``rng``; ``rate`` is that of the references, [Hz].
+    """
+
+    def __init__(self, robot: Robot, rng: np.random.Generator, *, rate: float) -> None:
+        self._robot, self._rng, self._rate = robot, rng, rate
+        self._of_joint: dict[int, tuple[Experiment, ...]] = {}
+        self.limits = Limits.of(robot)
+
+    @cached_property
+    def clearance(self) -> Clearance | None:
+        """Clearance of 1 cm between links; None if the file has no geometry."""
+        with warnings.catch_warnings(), suppress(RobotError):
             # Links that touch in most postures are left out.
             warnings.simplefilter("ignore", HybridWarning)
-            clearance = Clearance.of(robot, limits)
-        return cls(robot, limits, clearance)
+            return Clearance.of(self._robot, self.limits)
+        return None
 
     def first_safe(
         self, make: Callable[[int], Reference], robot: Robot | None = None
     ) -> Reference:
-        """The first safe motion of tries from 0 on, of an arm that may have a payload.
-
-        Raises:
-            ExcitationError: No try is safe.
-        """
+        """The first safe motion of tries from 0 on; see :meth:`checked`."""
         for k in range(_TRIES):
             try:
                 return self.checked(make(k), robot)
@@ -81,7 +99,7 @@ class Envelope:
         Raises:
             ExcitationError: A limit is exceeded, or two links come too close.
         """
-        checked(robot or self.robot, reference, self.limits)
+        checked(robot or self._robot, reference, self.limits)
         if self.clearance is None or not len(self.clearance.pairs):
             return reference
         postures = np.round(reference.q / _SAME_POSTURE)
@@ -92,48 +110,6 @@ class Envelope:
             raise ExcitationError(f"{name}; valid is a motion with more room")
         return reference
 
-
-@dataclass(frozen=True, eq=False)
-class Experiment:
-    """A motion to run, with its conditions.
-
-    Attributes:
-        name: Name, as it follows the word "run".
-        reference: The motion.
-        start: Time since the drives were switched on, [s].
-        mass: Payload at the centre of mass of the last link, [kg].
-        gains: Whether to run it with other servo gains as well.
-    """
-
-    name: str
-    reference: Reference
-    start: float = 0.0
-    mass: float = 0.0
-    gains: bool = False
-
-    @property
-    def plain(self) -> bool:
-        """Whether the motion needs no preparation."""
-        return self.start == 0 and self.mass == 0 and not self.gains
-
-    def arm(self, robot: Robot) -> Robot:
-        """The arm with the payload of the experiment."""
-        return with_payload(robot, self.mass) if self.mass else robot
-
-
-class Menu:
-    """Experiments with an arm that its limits and its links allow.
-
-    Args:
-        robot: The arm.
-        rng: Random generator of motions.
-        rate: Samples per second of the references, [Hz].
-    """
-
-    def __init__(self, robot: Robot, rng: np.random.Generator, *, rate: float) -> None:
-        self._robot, self._rng, self._rate = robot, rng, rate
-        self._of_joint: dict[int, tuple[Experiment, ...]] = {}
-
     def about(self, joint: int) -> tuple[Experiment, ...]:
         """Experiments that move a joint."""
         if joint not in self._of_joint:
@@ -142,46 +118,31 @@ class Menu:
             self._of_joint[joint] = (*self.ladder(joint, longest=2.0), *small)
         return (*self._of_joint[joint], *self.of_all_joints)
 
-    @cached_property
-    def envelope(self) -> Envelope:
-        """Limits and clearance of the arm."""
-        return Envelope.of(self._robot)
-
     def ladder(self, joint: int, *, longest: float = 4.0) -> tuple[Experiment, ...]:
-        """Motions of a joint at many speeds in both directions, if there is room.
-
-        Args:
-            joint: The joint.
-            longest: Longest time at one speed, [s].
-        """
+        """Motions of a joint at many speeds, each for ``longest`` s at most."""
         name = f"a ladder of speeds of {self._robot.joints[joint]}, up and down"
         return self._if_safe(name, self._of_one(speed_ladder, joint, longest=longest))
 
     @cached_property
     def of_all_joints(self) -> tuple[Experiment, ...]:
         """Experiments that move all joints."""
-        robot, rate = self._robot, self._rate
-
-        def tones(k: int) -> Reference:
-            fill, posture = 0.5 * _SMALLER**k, self._posture(k)
-            return multisine(
-                robot, fill=fill, posture=posture, seed=self._rng, rate=rate
-            )
-
-        motions: dict[str, Callable[[int], Reference]] = {
-            "one path of all joints at 0.5, 1 and 2 times its speed": lambda k: (
-                concatenated(at_speeds(robot, self._path(10.0, 0.2, k)))
+        robot, rate, path = self._robot, self._rate, self._path
+        return (
+            *self._if_safe(
+                "one path of all joints at 0.5, 1 and 2 times its speed",
+                lambda k: concatenated(at_speeds(robot, path(10.0, 0.2, k))),
             ),
-            "moves between poses all over the workspace, with a rest in each": (
-                lambda _: static_poses(robot, self._poses(), hold=0.5, rate=rate)
+            *self._if_safe(
+                "moves between poses all over the workspace, with a rest in each",
+                lambda _: static_poses(robot, self._poses(), hold=0.5, rate=rate),
             ),
-            "a multisine of all joints from 0.2 to 5 Hz": tones,
-            "a fast random motion of all joints over most of their range": (
-                lambda k: self._path(20.0, 0.8, k)
+            *self._if_safe("a multisine of all joints from 0.2 to 5 Hz", self._tones),
+            *self._if_safe(
+                "a fast random motion of all joints over most of their range",
+                lambda k: path(20.0, 0.8, k),
             ),
-        }
-        found = [x for name in motions for x in self._if_safe(name, motions[name])]
-        return (*found, *self._prepared())
+            *self._prepared(),
+        )
 
     def _prepared(self) -> tuple[Experiment, ...]:
         """Experiments that need preparation: warm drives, other gains or a payload."""
@@ -209,21 +170,15 @@ class Menu:
         return found
 
     def _if_safe(
-        self,
-        name: str,
-        make: Callable[[int], Reference],
-        *,
-        start: float = 0.0,
-        mass: float = 0.0,
-        gains: bool = False,
+        self, name: str, make: Callable[[int], Reference], **conditions: Any
     ) -> tuple[Experiment, ...]:
         """The experiment, if the arm has enough room, speed and torque for it."""
+        mass = conditions.get("mass")
         arm = with_payload(self._robot, mass) if mass else self._robot
         try:
-            reference = self.envelope.first_safe(make, arm)
+            return (Experiment(name, self.first_safe(make, arm), **conditions),)
         except HybridError:
             return ()
-        return (Experiment(name, reference, start, mass, gains),)
 
     def _of_one(
         self, make: Callable[..., Reference], joint: int, **more: float
@@ -232,6 +187,12 @@ class Menu:
         # Motions take a joint by its name, or by its number from 1 as text.
         one = partial(make, self._robot, str(joint + 1), rate=self._rate, **more)
         return lambda k: one(posture=self._posture(k))
+
+    def _tones(self, k: int) -> Reference:
+        fill, posture = 0.5 * _SMALLER**k, self._posture(k)
+        return multisine(
+            self._robot, fill=fill, posture=posture, seed=self._rng, rate=self._rate
+        )
 
     def _random(self, k: int) -> Reference:
         return self._path(20.0, 0.6, k)
@@ -253,21 +214,21 @@ class Menu:
 
     def _random_posture(self, part: float) -> Array:
         """A random posture within a part of the range about its middle."""
-        x = self.envelope.limits
+        x = self.limits
         offset = part * self._rng.uniform(-1, 1, self._robot.size)
         return np.asarray((x.low + x.high + offset * (x.high - x.low)) / 2)
 
     def _poses(self) -> Array:
         """Poses with safe straight moves from each to the next, and to the first."""
-        first = self.envelope.first_safe(
+        first = self.first_safe(
             lambda k: self._move(self._random_posture(0.6 if k else 0.0))
         )
         poses = [first.q[0]]
         for _ in range(_DRAWS):
             goal = self._random_posture(0.85)
             try:
-                self.envelope.checked(self._move(poses[-1], goal))
-                self.envelope.checked(self._move(goal, poses[0]))
+                self.checked(self._move(poses[-1], goal))
+                self.checked(self._move(goal, poses[0]))
             except HybridError:
                 continue
             poses.append(goal)
@@ -280,7 +241,7 @@ class Menu:
     def _move(self, *poses: Array) -> Reference:
         walk = Walk(poses[0])
         for goal in poses[1:]:
-            walk.move(goal, self.envelope.limits)
+            walk.move(goal, self.limits)
         walk.wait(0.1)
         return walk.reference(_CHECK_RATE)
 
@@ -288,9 +249,8 @@ class Menu:
 def with_payload(robot: Robot, mass: float) -> Robot:
     """The arm with a payload at the centre of mass of its last link, [kg]."""
     inertial = robot.chain.inertial.copy()
-    x, y, z = inertial[-1, 1:4] / max(inertial[-1, 0], 1e-9)
-    squares = [y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]
-    inertial[-1] += mass * np.array([1.0, x, y, z, *squares])
+    center = inertial[-1, 1:4] / max(inertial[-1, 0], 1e-9)
+    inertial[-1] += inertial_about(mass, center, np.zeros((3, 3)))
     return robot.with_inertial(inertial)
 
 
@@ -311,7 +271,7 @@ def gap_along(gap: Gap, experiment: Experiment) -> Gap:
     if logged is not None:
         warm = logged.max(axis=0) + _WARM_RISE
         level = warm if experiment.start else logged.min(axis=0)
-        temperature = np.broadcast_to(level, q.shape).copy()
+        temperature = np.tile(level, (len(t), 1))
     t = experiment.start + t
     motion = Motion(t, q, v, a, 0 * q, mask, temperature, robot.joints)
     body = RigidBody(robot.chain, motion)

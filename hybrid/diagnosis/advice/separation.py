@@ -10,6 +10,7 @@ Source: Atkinson and Fedorov 1975, doi 10.1093/biomet/62.1.57 (T-optimality).
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -31,24 +32,16 @@ _LONG_WAVES = 6  # per turn
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """One of two explanations, fitted to the recordings.
+    """One of two explanations, fitted to the recordings."""
 
-    Attributes:
-        candidate: The effect in which it differs, with fitted gains.
-        others: The effects that both rivals share.
-        gains: Gains of the background, of the shared effects and of its own effect, and
-            small changes of its shapes, shape (k,).
-        precision: Inverse posterior covariance of these, shape (k, k).
-        prior: Inverse prior variance of what both share, shape (s,).
-        evidence: Log evidence of its own effect on the recordings, [nat].
-    """
-
-    candidate: Candidate
-    others: tuple[Candidate, ...]
+    candidate: Candidate  # the effect in which it differs, with fitted gains
+    others: tuple[Candidate, ...]  # the effects that both rivals share
+    # Gains of the background, of the shared effects and of its own effect, and small
+    # changes of its shapes, shape (k,).
     gains: Array
-    precision: Array
-    prior: Array
-    evidence: float
+    precision: Array  # inverse posterior covariance of these, shape (k, k)
+    prior: Array  # inverse prior variance of what both share, shape (s,)
+    evidence: float  # log evidence of its own effect on the recordings, [nat]
 
     @property
     def effect(self) -> Effect:
@@ -88,20 +81,19 @@ def required_evidence(evidence: float) -> float:
 def tried_shapes(search: Search) -> list[Candidate]:
     """Candidates with all shapes that a search has tried, and with long waves."""
     tried = [t.candidate for t in search.pool.tried]
-    for c in list({c.place: c for c in tried}.values()):
-        for wave in (s.name for s in c.effect.shapes if s.unit == "1/turn"):
-            long = (c.effect.at({wave: k}) for k in range(1, _LONG_WAVES + 1))
-            tried += [c.at(effect) for effect in long]
-    return tried
+    waves = [
+        c.at(c.effect.at({s.name: k}))
+        for c in {c.place: c for c in tried}.values()
+        for s in c.effect.shapes if s.unit == "1/turn"
+        for k in range(1, _LONG_WAVES + 1)
+    ]  # fmt: skip
+    return [*tried, *waves]
 
 
 class Outlook(Evidence):
     """Evidence along some motions, with the columns of rivals.
 
-    Args:
-        gap: The motions.
-        noise: Variance of each joint's noise for independent samples, shape (n,).
-        use: Samples that are used, shape (M,); all by default.
+    Noise is its variance at each joint for independent samples, shape (n,).
     """
 
     def __init__(self, gap: Gap, noise: Array, use: Mask | None = None) -> None:
@@ -140,13 +132,9 @@ class Outlook(Evidence):
 
 
 class Discrimination:
-    """Discrimination between rivals by recordings together with a new motion.
+    """Discrimination between rivals of a search by recordings and a motion ahead.
 
-    Args:
-        search: The search that the rivals are from.
-        ahead: The new motion, with a gap of zero.
-        recorded: The recordings of the search; None if the new motion will be
-            diagnosed without them.
+    Without recordings the motion, a gap of zero, will be diagnosed alone.
     """
 
     def __init__(self, search: Search, ahead: Gap, recorded: Gap | None) -> None:
@@ -167,23 +155,19 @@ class Discrimination:
         """Separation of two rivals by the new motion, whichever of them is true."""
         view = self._ahead
         view.set_left(view.torque(first) - view.torque(second))
-        apart, found = float(np.sum(view.power / view.noise)), []
+        apart, made_good = float(np.sum(view.power / view.noise)), []
         for rival in (first, second):
             A, b = view.normal(view.whole(rival))
-            made_good = b @ np.linalg.solve(A + rival.precision, b)
-            found.append(max(apart - float(made_good), 0.0))
-        return float(np.sqrt(min(found)))
+            made_good.append(float(b @ np.linalg.solve(A + rival.precision, b)))
+        return float(np.sqrt(max(apart - max(made_good), 0.0)))
 
     def contrast(self, first: Rival, second: Rival) -> tuple[float, float]:
         """Expected evidence between two rivals from the recordings and the motion.
 
         The torque that one rival predicts is appended to the recordings, and both are
         fitted to all of it, shapes included. A law that is a limit of the other cannot
-        be distinguished from it if it is the true one.
-
-        Returns:
-            Difference of evidence if the first is true, and if the second is, over the
-            difference that is required; 1 or more if they are distinguished.
+        be distinguished from it if it is the true one. The difference if the first is
+        true, and that if the second is, are over the one that is required.
         """
         tried = tried_shapes(self._search)
 
@@ -205,26 +189,20 @@ class Discrimination:
 
 def decimated(gap: Gap) -> Gap:
     """A gap with decimated motions, so that columns of effects take less time."""
-    pairs = [(part(m, slice(None, None, s.factor)), b) for m, b, s in gap]
-    return replace(
-        gap,
-        motions=tuple(m for m, _ in pairs),
-        bodies=tuple(RigidBody(b.chain, m, b.inertial) for m, b in pairs),
-        healthy=(),
-    )
+    motions = tuple(part(m, slice(None, None, s.factor)) for m, _, s in gap)
+    pairs = zip(motions, gap.bodies, strict=True)
+    bodies = tuple(RigidBody(b.chain, m, b.inertial) for m, b in pairs)
+    return replace(gap, motions=motions, bodies=bodies, healthy=())
 
 
 def joined(one: Gap, other: Gap) -> Gap:
     """The motions of two gaps of an arm with the same cut-off and rate."""
     later = other.trajectory + one.trajectory.max(initial=-1) + 1
-    return replace(
-        one,
-        motions=one.motions + other.motions,
-        bodies=one.bodies + other.bodies,
-        left=np.concatenate([one.left, other.left]),
-        moving=np.concatenate([one.moving, other.moving]),
-        fold=np.concatenate([one.fold, other.fold]),
-        trajectory=np.concatenate([one.trajectory, later]),
-        healthy=(),
-        joins=(one, other),
-    )
+    both = replace(other, trajectory=later)
+    stacked: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name), getattr(both, name)])
+        for name in ("left", "moving", "fold", "trajectory")
+    }
+    motions, bodies = one.motions + other.motions, one.bodies + other.bodies
+    return replace(one, motions=motions, bodies=bodies, healthy=(), joins=(one, other),
+                   **stacked)  # fmt: skip

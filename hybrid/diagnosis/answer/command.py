@@ -9,10 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid.arrays import Array, Mask
+from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Finding
-from hybrid.diagnosis.answer.findings import ExtraFindings, finding_of, fitted_values
-from hybrid.diagnosis.answer.intervals import shrunk
+from hybrid.diagnosis.answer.findings import (
+    ExtraFindings,
+    finding_of,
+    fitted_values,
+    shrunk,
+)
 from hybrid.diagnosis.explanations.servo_fit import (
     WORTH,
     Fit,
@@ -23,7 +27,7 @@ from hybrid.diagnosis.explanations.servo_fit import (
 )
 from hybrid.diagnosis.gap.gap import Gap
 from hybrid.diagnosis.gap.measure import seconds, split, unseen_samples
-from hybrid.diagnosis.gap.servo import FEWEST, Law, ServoLog, laws, servo_logs
+from hybrid.diagnosis.gap.servo import FEWEST, ServoLog, laws, servo_logs
 from hybrid.effects import Effect, Port, effect_at
 from hybrid.recording import Recording
 from hybrid.signals import Motion
@@ -37,13 +41,10 @@ _LEAST_FALL = 0.01  # of the squares of the residual
 
 @dataclass(frozen=True, eq=False)
 class Link(ExtraFindings):
-    """Findings between command and torque.
+    """Findings between command and torque."""
 
-    Attributes:
-        excess: Squares above noise of the servo laws without the effects found, by
-            block of time, shape (B, n), in units of noise; 0 without findings.
-    """
-
+    # Squares above noise of the servo laws without the effects found, by block of time,
+    # shape (B, n), in units of noise; 0 without findings.
     excess: Array
 
 
@@ -73,12 +74,8 @@ class _Servo:
 
     def share(self, kind: type[Effect]) -> float:
         """Squares that an effect explains (Shapley value), in units of noise."""
-        if kind not in self.found:
-            return 0.0
         last = self.decrease(self.without(kind), self.without())
         others = [k for k in self.found if k is not kind]
-        if not others:
-            return last
         first = self.decrease(self.without(*self.found), self.without(*others))
         return (last + first) / 2
 
@@ -101,16 +98,12 @@ def command_link(
     without: Sequence[str] = (),
     distorted: Collection[int] = (),
 ) -> Link:
-    """Find effects between the command and the torque of each joint.
-
-    Joints whose torque no servo law explains have no finding; neither have those that
-    are ``distorted``, as their logged torque is not their servo's.
-    """
-    learn = split(gap)
-    test = unseen_samples(gap, learn)
+    """Find effects between the command and the torque of each joint."""
+    # Joints whose torque no servo law explains have no finding; neither have those that
+    # are ``distorted``, as their logged torque is not their servo's.
     kinds = [k for k in (_latency(), _gains()) if k.id not in without]
     fitted = [
-        _fitted_servo(gap, i, log, learn, test, kinds)
+        _fitted_servo(gap, i, log, kinds)
         for i, log in enumerate(servo_logs(gap, recordings))
         if log is not None and i not in distorted
     ]
@@ -118,29 +111,26 @@ def command_link(
     squares = np.zeros(gap.robot.size)
     for s in servos:
         squares[s.joint] = sum(map(s.share, s.found))
-    found = [
-        _finding(gap, own, k, squares.sum(), rng)
+    found = tuple(
+        _finding(gap, [s for s in servos if k in s.found], k, squares.sum(), rng)
         for k in kinds
-        if (own := [s for s in servos if k in s.found])
-    ]
+        if any(k in s.found for s in servos)
+    )
     effects = tuple(e for s in servos for e in s.effects)
-    return Link(tuple(found), effects, squares, _excess(gap, servos))
+    return Link(found, effects, squares, _excess(gap, servos))
 
 
 def _fitted_servo(
-    gap: Gap,
-    i: int,
-    log: ServoLog,
-    learn: Mask,
-    test: Mask,
-    kinds: Sequence[type[Effect]],
+    gap: Gap, i: int, log: ServoLog, kinds: Sequence[type[Effect]]
 ) -> _Servo | None:
     """Fit the servo of a joint; None if no law explains its torque."""
-    train, held_out = log.only(learn), log.only(test)
+    learn = split(gap)
+    test = unseen_samples(gap, learn)
+    train, held_out = (log.at(x[log.row]) for x in (learn, test))
     if min(len(train.row), len(held_out.row)) < FEWEST:
         return None
-    free = list(laws())
-    declared = _declared_laws(gap, i)
+    free, kp, kd = list(laws()), float(gap.robot.kp[i]), float(gap.robot.kd[i])
+    declared = list(laws(kp, kd)) if np.isfinite(kp) else []
     whole = fit(train, free, immediate=False)
     tau = held_out.torque(held_out.t)
     left = whole.residual(held_out)
@@ -184,29 +174,19 @@ def _better(train: ServoLog, held_out: ServoLog, before: Fit, after: Fit) -> boo
     return bool(falls) and log_likelihood_ratio(train, before, after) > WORTH
 
 
-def _declared_laws(gap: Gap, i: int) -> list[Law]:
-    kp, kd = gap.robot.kp[i], gap.robot.kd[i]
-    return list(laws(float(kp), float(kd))) if np.isfinite(kp) else []
-
-
 def _gain_errors(found: Fit, gap: Gap, i: int) -> tuple[Array, Array]:
-    """Relative errors of stiffness and damping, and their standard deviations.
-
-    Gains are divided by the scale of the whole torque, if the law has one.
-    """
-    declared = gap.robot.kp[i], gap.robot.kd[i]
-    scale = 0 if found.law.scaled else None
-    places = (1, 2) if found.law.scaled else (0, 1)
+    """Relative errors of stiffness and damping, and their standard deviations."""
+    # Gains are divided by the scale of the whole torque, if the law has one.
+    first = int(found.law.scaled)
+    scale = found.gains[0] if first else 1.0
     error, std = np.zeros(2), np.zeros(2)
-    for k, (place, gain) in enumerate(zip(places, declared, strict=True)):
+    for k, gain in enumerate((gap.robot.kp[i], gap.robot.kd[i])):
         if not gain > 0:  # a servo without damping
             continue
-        slope = np.zeros(len(found.gains))
-        unit = gain if scale is None else gain * found.gains[scale]
-        slope[place] = 1 / unit
-        error[k] = found.gains[place] / unit - 1.0
-        if scale is not None:
-            slope[scale] = -(error[k] + 1.0) / found.gains[scale]
+        slope, unit = np.zeros(len(found.gains)), gain * scale
+        error[k] = found.gains[first + k] / unit - 1.0
+        slope[0] = -(error[k] + 1.0) / scale if first else 0.0
+        slope[first + k] = 1 / unit
         std[k] = np.sqrt(slope @ found.covariance[2:, 2:] @ slope)
     return error, std
 
@@ -231,20 +211,21 @@ def _fitted_effects(
     gap: Gap, i: int, log: ServoLog, kinds: Sequence[type[Effect]]
 ) -> tuple[Effect, ...]:
     """Fit the effects of a joint to all samples."""
-    if not kinds:
+    if not kinds:  # a fit takes time
         return ()
     found = fit(log, list(laws()), immediate=_latency() not in kinds)
-    effects = []
-    for kind in kinds:
+
+    def effect(kind: type[Effect]) -> Effect:
         names = [g.name for g in kind.gains]
         value, std = np.array([found.latency]), np.array([found.latency_std])
         if not kind.shifts:
             value, error = _gain_errors(found, gap, i)
             law = np.array([kind.inexact.get(x, 0.0) for x in names])
             std = np.hypot(error, law * (1.0 + value))
-        values = (dict(zip(names, x.tolist(), strict=True)) for x in (value, std))
-        effects.append(kind((i,), *values))
-    return tuple(effects)
+        return kind((i,), *(dict(zip(names, x.tolist(), strict=True))
+                            for x in (value, std)))  # fmt: skip
+
+    return tuple(map(effect, kinds))
 
 
 def _finding(

@@ -18,26 +18,21 @@ _SAME_POSTURE = 0.02  # rad or m, between two samples at rest
 _SHORTEST = 0.05  # s, of an event
 _PAUSE = 0.2  # s, between two events, and from a stop to one
 _LEAST_REST = 1.0  # s at rest, to estimate the holding torque
+_EACH = "each recording"
 
 
 @dataclass(frozen=True)
 class Event:
-    """A contact of the arm, or a push on it.
+    """A contact of the arm, or a push on it."""
 
-    Attributes:
-        recording: Source of the log, or its number from 0; ``each recording`` if it is
-            at the same time in all of them.
-        start: Time of its first sample, by the clock of the diagnosis, [s].
-        end: Time of its last sample, [s].
-        torque: Mean torque of each joint against it, shape (n,), [N·m].
-        force: Force and moment of the last link on what it touches, in the base frame,
-            shape (6,), [N, N·m].
-    """
-
+    # Source of the log, or its number from 0; ``each recording`` if it is at the same
+    # time in all of them.
     recording: str
-    start: float
-    end: float
-    torque: tuple[float, ...]
+    start: float  # time of its first sample, by the clock of the diagnosis, [s]
+    end: float  # time of its last sample, [s]
+    torque: tuple[float, ...]  # mean of each joint against it, shape (n,), [N·m]
+    # Force and moment of the last link on what it touches, in the base frame, shape
+    # (6,), [N, N·m].
     force: tuple[float, ...]
 
 
@@ -48,17 +43,22 @@ def contacts_in_motion(gap: Gap, effects: Iterable[Effect]) -> tuple[Event, ...]
         number, start = int(effect.values["recording"]), effect.values["start"]
         end = start + effect.values["duration"]
         during = gap.sampled.mask & (t >= start) & (t < end)
-        if number >= 0:
-            during &= gap.trajectory == number
+        during &= (gap.trajectory == number) | (number < 0)
         own = np.unique(gap.trajectory[during])
         number = int(own[0]) if len(own) == 1 else number
         if during.any():
-            name = gap.motions[number].source if number >= 0 else "each recording"
             push = effect.push(t, gap.trajectory)[during]
             torque = np.einsum("mnk,mk->n", _wrenches(gap)[during], push) / len(push)
-            both = tuple(torque.tolist()), tuple(push.mean(axis=0).tolist())
-            found.append((number, start, Event(name or str(number), start, end, *both)))
+            event = _event(gap, number, start, end, torque, push.mean(axis=0))
+            found.append((number, start, event))
     return tuple(event for *_, event in sorted(found, key=lambda x: x[:2]))
+
+
+def _event(
+    gap: Gap, number: int, start: float, end: float, torque: Array, force: Array
+) -> Event:
+    name = gap.motions[number].source or str(number) if number >= 0 else _EACH
+    return Event(name, start, end, tuple(torque.tolist()), tuple(force.tolist()))
 
 
 def _wrenches(gap: Gap) -> Array:
@@ -69,11 +69,9 @@ def _wrenches(gap: Gap) -> Array:
 
 
 def events_at_rest(gap: Gap) -> tuple[Event, ...]:
-    """Find pushes while no joint moves, in order of time.
-
-    What the simulator lacks differs from posture to posture. Each is compared with the
-    median torque in the same one.
-    """
+    """Find pushes while no joint moves, in order of time."""
+    # What the simulator lacks differs from posture to posture. Each is compared with
+    # the median torque in the same one.
     sampled = gap.sampled
     v = np.abs(sampled.v)
     slow = v <= np.maximum(STANDING * v.max(axis=0, initial=0.0), _AT_REST)
@@ -88,13 +86,10 @@ def events_at_rest(gap: Gap) -> tuple[Event, ...]:
 
 
 def _pushes(gap: Gap, rows: Index, push: Array) -> Iterator[Event]:
-    """Pushes at some samples of a recording, at rest in one posture.
-
-    A drive's torque settles for some time after a stop, which is no push.
-    """
+    """Pushes at some samples of a recording, at rest in one posture."""
+    # A drive's torque settles for some time after a stop, which is no push.
     if len(rows) < _LEAST_REST * gap.rate:
         return
-    number = int(gap.trajectory[rows[0]])
     rated = np.array([s.torque for s in gap.scales])
     x = gap.left[rows] - np.median(gap.left[rows], axis=0)
     least = np.maximum(_SIGNIFICANT * robust_std(x), _LEAST * rated)
@@ -107,7 +102,5 @@ def _pushes(gap: Gap, rows: Index, push: Array) -> Iterator[Event]:
         if own[0] - stops[stops <= own[0]].max() < _PAUSE * gap.rate:
             continue
         torque, t = x[own].mean(axis=0), gap.sampled.t[rows[own]].tolist()
-        columns = push[rows[own]].mean(axis=0)
-        force = np.linalg.lstsq(columns, torque, rcond=1e-3)[0]
-        both = tuple(torque.tolist()), tuple(force.tolist())
-        yield Event(gap.motions[number].source or str(number), t[0], t[-1], *both)
+        force = np.linalg.lstsq(push[rows[own]].mean(axis=0), torque, rcond=1e-3)[0]
+        yield _event(gap, int(gap.trajectory[rows[0]]), t[0], t[-1], torque, force)

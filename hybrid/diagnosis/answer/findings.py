@@ -1,13 +1,12 @@
 """Turn terms of an explanation into findings: effects grouped over joints."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hybrid.arrays import Array
-from hybrid.diagnosis.answer.diagnosis import Finding, Shrink, Value, listed
-from hybrid.diagnosis.answer.intervals import shrunk
+from hybrid.arrays import Array, Index
+from hybrid.diagnosis.answer.diagnosis import Finding, Interval, Shrink, Value, listed
 from hybrid.diagnosis.answer.words import effect_words
 from hybrid.diagnosis.evidence.candidates import candidate
 from hybrid.diagnosis.evidence.shapes import part_of_range
@@ -16,6 +15,7 @@ from hybrid.diagnosis.gap.gap import Gap
 from hybrid.effects import FASTEST, Effect, effect_class
 from hybrid.statistics import HALF_WIDTH, interval_above
 
+_RESAMPLES = 400
 _LEAST_CHANGE = 0.05  # of the largest change at a joint
 _UNDETERMINED = 0.8  # width of an interval, over the range of its shape
 _ABSOLUTE = "rad", "s", ""  # units of gains that have one bound on arms of all sizes
@@ -25,25 +25,16 @@ _REPLACES = " It takes the place of the {} friction that the file declares."
 
 @dataclass(frozen=True, eq=False)
 class ExtraFindings:
-    """Findings that are not terms of the search.
+    """Findings that are not terms of the search."""
 
-    Attributes:
-        findings: Findings; their shares sum to 1.
-        effects: The effects found, joint by joint.
-        squares: Squares that they explain at each joint, shape (n,), in units of noise.
-    """
-
-    findings: tuple[Finding, ...]
-    effects: tuple[Effect, ...]
-    squares: Array
+    findings: tuple[Finding, ...]  # their shares sum to 1
+    effects: tuple[Effect, ...]  # the effects found, joint by joint
+    squares: Array  # that they explain at each joint, shape (n,), in units of noise
 
     def merged(
         self, others: Sequence[Finding], explained: float
     ) -> tuple[Finding, ...]:
-        """Merge with findings of the search; largest share first.
-
-        ``explained`` are the squares that these explain, in units of noise.
-        """
+        """Merge by share with findings that explain some squares, in units of noise."""
         own = float(self.squares.sum())
         part = own / max(own + explained, 1e-300)
         found = [replace(f, share=(1.0 - part) * f.share) for f in others]
@@ -60,13 +51,9 @@ def findings(
 ) -> tuple[Finding, ...]:
     """Group the terms of an explanation by effect; largest share first.
 
-    Args:
-        scored: Explanation, scored on held-out samples.
-        effects: Effect of each term with its final values.
-        kinds: Effects that explain as much as each term, with their probabilities, its
-            own first; none for a term in place of an unknown law.
-        parts: Share of each term in what is explained, shape (terms,).
-        rng: Random generator of the bootstrap.
+    Each term has its effect with final values; the kinds of effects that explain as
+    much, with their probabilities, its own first, or none in place of an unknown law;
+    and its share in what is explained, shape (terms,).
     """
     gap = scored.gap
     grouped: dict[str, list[int]] = {}
@@ -197,3 +184,42 @@ def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
         unit = gap.robot.chain.unit_at(effect.unit_joints, x.unit)
         found.append(Value(joint, x.name, value, unit, (low, high), determined))
     return found
+
+
+def interval(
+    statistic: Callable[[Index], Array], blocks: int, rng: np.random.Generator
+) -> Interval:
+    """95 % interval of a share over blocks of time, as samples are correlated.
+
+    ``statistic`` computes the share, shape (R,), from indices of the blocks in each
+    resample, (R, blocks). The interval is 0 to 1 if there is a single block.
+    """
+    if blocks < 2:
+        return 0.0, 1.0
+    draws = statistic(rng.integers(blocks, size=(_RESAMPLES, blocks)))
+    low, high = np.quantile(draws, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def shrunk(squares: Array, count: int, unit: str, rng: np.random.Generator) -> Shrink:
+    """RMS of a gap before and after, and the part removed with its interval.
+
+    ``squares`` are sums over each block of time, before and after, shape (2, B), of
+    ``count`` samples.
+    """
+
+    def removed(sums: Array) -> Array:
+        before, after = sums
+        whole = np.where(before > 0, before, np.inf)
+        return np.asarray(1.0 - np.sqrt(after / whole))
+
+    squares = squares[:, squares[0] > 0]
+    whole = squares.sum(axis=1)
+    before, after = np.sqrt(whole / max(count, 1)).tolist()
+    return Shrink(
+        before,
+        after,
+        float(removed(whole)) if before else 0.0,
+        interval(lambda k: removed(squares[:, k].sum(axis=-1)), squares.shape[1], rng),
+        unit=unit,
+    )

@@ -34,14 +34,9 @@ def write_fixed(
     the difference. A comment at its top lists what MJCF cannot express;
     ``model.json`` has all findings. Without findings both are the simulator as it is.
 
-    Args:
-        result: A diagnosis with its intermediate results.
-        directory: A folder that exists.
-        home: Folder to which the files are moved afterwards; paths of meshes are
-            relative to it. ``directory`` by default.
-
-    Returns:
-        Findings that MJCF expresses only approximately, or not at all.
+    The folder exists. If files are moved to another folder afterwards, their ``home``,
+    paths of meshes are relative to that. Findings are returned that MJCF expresses only
+    approximately, or not at all.
 
     Raises:
         EffectError: An effect cannot be simulated.
@@ -65,23 +60,18 @@ def _servo_notes(result: Result) -> list[str]:
     """Servo settings found, which a motor with torque input cannot express."""
     robot, notes = result.gap.robot, []
     for effect in result.command:
-        (j,) = effect.joints
-        changed = Actuator().and_then(effect.actuator)
-        setting = (
-            f"delay commands by {1000 * changed.latency:.3g} ms"
-            if changed.latency
-            else f"use kp = {robot.kp[j] * changed.stiffness:.4g} "
-            f"and kd = {robot.kd[j] * changed.damping:.4g}"
-        )
+        (j,), new = effect.joints, Actuator().and_then(effect.actuator)
+        kp, kd = robot.kp[j] * new.stiffness, robot.kd[j] * new.damping
+        setting = f"use kp = {kp:.4g} and kd = {kd:.4g}"
+        if new.latency:
+            setting = f"delay commands by {1000 * new.latency:.3g} ms"
         notes.append(f"{effect.id} of {robot.joints[j]}, {setting}")
     return notes
 
 
 def fixed_simulator(result: Result) -> tuple[Robot, tuple[Effect, ...]]:
-    """The arm with corrected numbers, and the effects on it, fitted to all samples.
-
-    Where links have to give way to be physical, the effects take what they can.
-    """
+    """The arm with corrected numbers, and the effects on it, fitted to all samples."""
+    # Where links have to give way to be physical, the effects take what they can.
     if not result.effects:
         return result.gap.robot, ()
     search, effects = result.search, list(result.effects)

@@ -15,9 +15,9 @@ from hybrid.diagnosis.answer.findings import (
     ExtraFindings,
     finding_of,
     fitted_values,
+    interval,
     torque_shrink,
 )
-from hybrid.diagnosis.answer.intervals import interval
 from hybrid.diagnosis.evidence.convention import Convention
 from hybrid.diagnosis.explanations.account import Account
 from hybrid.diagnosis.explanations.explanation import Explanation
@@ -30,14 +30,9 @@ COMMAND_TO_TORQUE = "command to torque"
 def delay_finding(
     logged: Gap, scored: Explanation, convention: Convention, rng: np.random.Generator
 ) -> tuple[ExtraFindings, float]:
-    """Make the finding that torque is delayed at every joint.
-
-    ``logged`` is the gap of the same samples as those of ``scored``, with the delay.
-
-    Returns:
-        The finding, and the squares that the terms of the explanation explain on the
-        training samples, in units of noise.
-    """
+    """Find that all torque is late; with the squares that the other terms explain."""
+    # ``logged`` is the gap of the same samples with the delay; squares are of the
+    # training samples, in units of noise.
     gap = scored.gap
     moving = np.flatnonzero(logged.moving.any(axis=0)).tolist()
     delay, late = effect_at(Port.MEASUREMENT, shifts=True), convention.late
@@ -70,10 +65,8 @@ def merged_links(
     link: Link,
     rng: np.random.Generator,
 ) -> Diagnosis:
-    """Add findings between command and torque to a diagnosis.
-
-    Shares are of the squares of both links, in units of noise.
-    """
+    """Add findings between command and torque to a diagnosis."""
+    # Shares are of the squares of both links, in units of noise.
     if not link.findings:
         return diagnosis
     noise = np.maximum(diagnosis.noise_floor, 1e-12)
@@ -99,15 +92,15 @@ def _where(
     total = excess.sum()
     other = above if diagnosis.where else 0.0
     scale = other / max(other + total, 1e-300)
-    found = []
-    for r in diagnosis.where:
-        low, high = r.interval
-        ends = scale * low, scale * high
-        found.append(replace(r, share=scale * r.share, interval=ends))
+    found = [
+        replace(r, share=scale * r.share,
+                interval=(scale * r.interval[0], scale * r.interval[1]))
+        for r in diagnosis.where
+    ]  # fmt: skip
     for i in np.flatnonzero(excess.sum(axis=0) > 0).tolist():
 
         def share(k: Index, i: int = i) -> Array:
-            own, every = excess[k, i].sum(axis=1), excess.sum(axis=1)[k].sum(axis=1)
+            own, every = (x[k].sum(axis=1) for x in (excess[:, i], excess.sum(axis=1)))
             return np.asarray(own / np.maximum(every + other, 1e-300))
 
         region = Region(

@@ -7,14 +7,13 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Finding, Shrink
-from hybrid.diagnosis.answer.findings import changed_joints
-from hybrid.diagnosis.answer.intervals import interval
+from hybrid.diagnosis.answer.findings import changed_joints, interval
 from hybrid.diagnosis.answer.replay import Replay
 from hybrid.diagnosis.answer.result import Result
 from hybrid.diagnosis.answer.words import effect_words, effects_listed
 from hybrid.effects import Effect, effect_class
 from hybrid.errors import HybridError
-from hybrid.progress import Progress
+from hybrid.progress import Progress, silent
 
 _DIVERGED = 1.0  # rad; a larger motion error has no meaning
 _STEP_ERROR = 0.1  # of the motion error without findings
@@ -43,17 +42,14 @@ _HALVED = (
 def with_motion_gap(
     result: Result, rng: np.random.Generator, *, progress: Progress | None = None
 ) -> Result:
-    """Add the gap in motion to each finding.
-
-    A finding that should show in motion, such as an elasticity or a delay, is doubted
-    if the simulator with it moves less like the arm.
-    """
+    """Add the gap in motion to each finding."""
+    # A finding that should show in motion, such as an elasticity or a delay, is doubted
+    # if the simulator with it moves less like the arm.
     if not result.effects:
         return result
     if result.gap.torque_is_filtered:
         return replace(result, diagnosis=_noted(result.diagnosis, [_FILTERED]))
-    if progress:
-        progress("replaying the simulator", 0.85)
+    (progress or silent)("replaying the simulator", 0.85)
     try:
         diagnosis = _in_motion(result, Replay(result.scored), rng)
     except HybridError as error:
@@ -62,10 +58,8 @@ def with_motion_gap(
 
 
 def _in_motion(result: Result, replay: Replay, rng: np.random.Generator) -> Diagnosis:
-    found: list[Finding] = []
-    denied: list[Finding] = []
-    diverged: list[str] = []
-    unknown: list[str] = []
+    found, denied = list[Finding](), list[Finding]()
+    diverged, unknown = list[str](), list[str]()
     for f in result.diagnosis.findings:
         members = result.scored.members(f.effect)
         delays = [e for e in result.delays if e.id == f.effect]
@@ -108,34 +102,20 @@ def motion_shrink(
 ) -> Shrink | None:
     """Compare motion errors without and with some terms, all others present.
 
-    ``delays`` are delays of the log's torque, which are no terms; instead of
-    ``members``.
+    In place of ``members`` there may be delays of the log's torque, which are no terms.
 
     Returns:
-        RMS over joints and time, [rad], without and with the terms; median over the
-        windows in which they act. None if there are too few windows.
-
-    Raises:
-        EffectError: An effect cannot be simulated.
+        RMS over joints and time, [rad]; median over the windows in which the terms act.
+        None if there are too few windows.
     """
     if replay.horizon is None:
         return None
-    if delays:
-        joints = [j for e in delays for j in e.joints]
-        again = [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in delays]
-        without = replay.squares_of([*replay.effects, *again])
-        found = replay.squares(replay.all_terms)
-        before, after = (_rms(x, joints) for x in (without, found))
-    else:
-        joints, before, after = _errors(replay, members)
-    return Shrink(
-        float(np.median(before)),
-        float(np.median(after)),
-        float(_removed(before, after)),
-        interval(lambda k: _removed(before[k], after[k]), len(before), rng),
-        replay.horizon,
-        replay.scored.gap.robot.chain.unit_at(joints, "rad"),
-    )
+    joints, before, after = _errors(replay, members, delays)
+    whole, left = float(np.median(before)), float(np.median(after))
+    ends = interval(lambda k: _removed(before[k], after[k]), len(before), rng)
+    part, chain = float(_removed(before, after)), replay.scored.gap.robot.chain
+    unit = chain.unit_at(joints, "rad")
+    return Shrink(whole, left, part, ends, replay.horizon, unit)
 
 
 def rollout_agrees(replay: Replay, term: int, rng: np.random.Generator) -> bool | None:
@@ -152,32 +132,35 @@ def step_warning(replay: Replay) -> list[str]:
     """A warning if half the physics step changes the motion error."""
     if replay.horizon is None:
         return []
-    joints = list(range(replay.scored.gap.robot.size))
-
-    def error(terms: frozenset[int], step: float) -> float:
-        return float(np.median(_rms(replay.squares(terms, step=step), joints)))
-
-    step, bare = replay.step, frozenset[int]()
-    before = error(bare, step)
-    change = max(
-        abs(error(terms, step / 2) - error(terms, step))
-        for terms in {bare, replay.all_terms}
-    )
-    if change <= _STEP_ERROR * before:
+    step, joints = replay.step, range(replay.scored.gap.robot.size)
+    whole, half = (
+        np.array([
+            np.median(_rms(replay.squares_of(effects, step=x), joints))
+            for effects in ((), replay.effects)
+        ])
+        for x in (step, step / 2)
+    )  # fmt: skip
+    change = float(np.abs(half - whole).max())
+    if change <= _STEP_ERROR * whole[0]:
         return []
-    return [_HALVED.format(1e3 * step, change / before)]
+    return [_HALVED.format(1e3 * step, change / whole[0])]
 
 
-def _errors(replay: Replay, members: Sequence[int]) -> tuple[list[int], Array, Array]:
-    """Joints that some terms change, and the motion errors without and with the terms.
-
-    Errors are of the windows in which the terms act, shape (W',), [rad].
-    """
+def _errors(
+    replay: Replay, members: Sequence[int], delays: Sequence[Effect] = ()
+) -> tuple[list[int], Array, Array]:
+    """Joints, and motion errors without and with a finding, (W',), [rad]."""
+    # Of the joints that it changes and the windows in which its terms act. Delays are
+    # put back into the log, and act in all windows.
     scored, windows = replay.scored, replay.windows_with(members)
-    joints = changed_joints(scored, scored.left(scored.without(*members)))
-    without = replay.squares(replay.all_terms - set(members))
-    found = replay.squares(replay.all_terms)
-    return joints, _rms(without, joints)[windows], _rms(found, joints)[windows]
+    joints = [j for e in delays for j in e.joints]
+    joints = joints or changed_joints(scored, scored.left(scored.without(*members)))
+    without = [e for k, e in enumerate(replay.effects) if k not in members]
+    without += [e.at({g.name: -e.values[g.name] for g in e.gains}) for e in delays]
+    before, after = (
+        _rms(replay.squares_of(x), joints)[windows] for x in (without, replay.effects)
+    )
+    return joints, before, after
 
 
 def _rms(squares: Array, joints: Sequence[int]) -> Array:

@@ -31,10 +31,9 @@ _FIRST_BAND = 0.5  # Hz, its end
 
 @dataclass(frozen=True)
 class _Histogram:
-    """Excess and samples of a joint in the bins of one variable.
+    """Excess and samples of a joint in the bins of one variable."""
 
-    Each sample counts in all bands of frequency, by their share of the noise.
-    """
+    # Each sample counts in all bands of frequency, by their share of the noise.
 
     joint: int
     variable: str
@@ -53,10 +52,8 @@ class _Test:
     correlated: float  # samples per independent sample
 
     def exceeds(self, excess: float, samples: float) -> bool:
-        """Whether an excess is significant, and above the error of the noise.
-
-        The variance of a squared standard normal variable is 2.
-        """
+        """Whether an excess is significant, and above the error of the noise."""
+        # The variance of a squared standard normal variable is 2.
         chance = self.limit * np.sqrt(2 * samples * self.correlated)
         return bool(excess > max(chance, _NOISE_ERROR * samples))
 
@@ -65,19 +62,15 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
     """Find the parts of the gap with more excess than their share of the samples.
 
     A joint as a whole is the variable ``link``. Noise, whose RMS has shape (n,), [N·m],
-    is assumed to be white up to the cut-off.
-
-    Returns:
-        Regions with a significant excess, at 5 % for all of them together; largest
-        lead over their share of the samples first. None if there is no gap.
+    is assumed to be white up to the cut-off. The excess is significant at 5 % for all
+    regions together; the largest lead over the share of samples comes first.
     """
     histograms = list(_histograms(gap, np.maximum(noise, 1e-12)))
     whole = [c for c in histograms if c.variable == "link"]
     if not whole:
         return ()
     squares = np.concatenate([c.excess for c in whole], axis=1).sum(axis=1)  # (B,)
-    visits = sum(c.samples.sum() for c in whole)
-    blocks = len(squares)
+    visits, blocks = sum(c.samples.sum() for c in whole), len(squares)
     # Number of tests: every range of neighbouring bins.
     ranges = sum(c.excess.shape[1] * (c.excess.shape[1] + 1) // 2 for c in histograms)
     test = _Test(
@@ -98,23 +91,17 @@ def locate(gap: Gap, noise: Array, rng: np.random.Generator) -> tuple[Region, ..
         # Chance leaves less than the noise elsewhere, and a share of more than 1.
         share = float(np.clip(inside.sum() / squares.sum(), 0.0, 1.0))
         shares = np.clip((test.draws @ inside)[some] / drawn[some], 0.0, 1.0)
-        low, high = np.quantile(shares, [0.025, 0.975])
-        lead = share - float(x.samples[:, best].sum() / visits)
-        region = Region(
-            gap.robot.joints[x.joint], x.variable,
-            float(x.edges[best.start]), float(x.edges[best.stop]), x.unit,
-            share, (float(low), float(high)),
-        )  # fmt: skip
-        found.append((lead, region))
-    found.sort(key=lambda x: -x[0])
-    return tuple(region for _, region in found)
+        low, high = np.quantile(shares, [0.025, 0.975]).tolist()
+        start, end = x.edges[[best.start, best.stop]].tolist()
+        joint, ends = gap.robot.joints[x.joint], (low, high)
+        region = Region(joint, x.variable, start, end, x.unit, share, ends)
+        found.append((share - float(x.samples[:, best].sum() / visits), region))
+    return tuple(region for _, region in sorted(found, key=lambda x: -x[0]))
 
 
 def _densest(histogram: _Histogram, test: _Test) -> slice | None:
-    """Neighbouring bins with the largest lead over their share of the samples.
-
-    None if the lead is not significant, or if it covers all bins.
-    """
+    """Neighbouring bins with the largest lead over their share of the samples."""
+    # None if the lead is not significant, or if it covers all bins.
     excess, samples = histogram.excess.sum(axis=0), histogram.samples.sum(axis=0)
     if histogram.variable == "link":
         return slice(0, 1) if test.exceeds(excess[0], samples[0]) else None
@@ -136,8 +123,7 @@ def _densest(histogram: _Histogram, test: _Test) -> slice | None:
 
 def _histograms(gap: Gap, noise: Array) -> Iterator[_Histogram]:
     """Excess of every joint over every variable, in bins with enough samples."""
-    block = seconds(gap)
-    blocks = int(block.max()) + 1
+    block, blocks = seconds(gap), int(seconds(gap).max()) + 1
     fewest = _FEWEST_SECONDS * gap.rate
     for i in range(gap.robot.size):
         rows = np.flatnonzero(gap.moving[:, i])

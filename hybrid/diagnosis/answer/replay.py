@@ -32,33 +32,27 @@ _LARGEST_ERROR = np.pi  # rad; larger motion errors count as this one
 
 
 class Replay:
-    """Windows of held-out motions, and simulations along them.
-
-    Attributes:
-        scored: The explanation.
-        effects: Its terms as effects, with the gains that were scored.
-        motions: Decimated held-out motions with their filtered torque.
-        horizon: Length of the windows, [s]; None if there are too few windows.
-        windows: W windows of the motions, which do not overlap.
-    """
+    """Windows of held-out motions, and simulations along them."""
 
     def __init__(self, scored: Explanation) -> None:
-        self.scored = scored
-        self.effects = scored_effects(scored)
-        gap = scored.gap
-        learn = split(gap)
-        held_out = unseen_samples(gap, learn)
+        self.scored, gap = scored, scored.gap
+        self.effects = scored_effects(scored)  # its terms, with the gains scored
+        # Decimated motions with their filtered torque.
+        held_out = unseen_samples(gap, split(gap))
         self.motions, usable, self._start = _motions(gap, held_out)
+        # Length of the W windows, [s]; None if there are too few. They do not overlap.
         self.horizon, self.windows = windows_of(usable, gap.rate)
-        self._errors: dict[tuple[frozenset[int], float], Array] = {}
+        self._errors: dict[tuple[str, float], Array] = {}
 
-    def squares(self, terms: Iterable[int], *, step: float | None = None) -> Array:
-        """Mean square of the motion error with some terms, shape (W, n), [rad²]."""
-        return _mean_squares(self._error_with(frozenset(terms), step or self.step))
-
-    def squares_of(self, effects: Sequence[Effect]) -> Array:
-        """Mean square of the motion error with any effects, shape (W, n), [rad²]."""
-        return _mean_squares(self._error(effects, self.step))
+    def squares_of(
+        self, effects: Sequence[Effect], *, step: float | None = None
+    ) -> Array:
+        """Mean square of the motion error with some effects, shape (W, n), [rad²]."""
+        # An error is at most half a turn, as where a simulation diverged.
+        error = self._error(effects, step or self.step)[1:]
+        error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
+        error = np.where(np.isnan(error), _LARGEST_ERROR, error)
+        return np.asarray((error**2).mean(axis=0))
 
     @cached_property
     def step(self) -> float:
@@ -67,36 +61,24 @@ class Replay:
         Stiff friction on light links needs a short step. If the simulation diverges
         with each step, another cause is likely, and the longest step is taken.
         """
-        for step in _STEPS:
-            if np.isfinite(self._error_with(self.all_terms, step)).all():
-                return step
-        return _STEPS[0]
-
-    def _error_with(self, terms: frozenset[int], step: float) -> Array:
-        """Motion error with some terms; simulated once for each step."""
-        if (terms, step) not in self._errors:
-            effects = [self.effects[k] for k in sorted(terms)]
-            self._errors[terms, step] = self._error(effects, step)
-        return self._errors[terms, step]
+        fine = (x for x in _STEPS if np.isfinite(self._error(self.effects, x)).all())
+        return next(fine, _STEPS[0])
 
     def _error(self, effects: Sequence[Effect], step: float) -> Array:
-        """Motion error, shape (S + 1, W, n), [rad]; NaN where a simulation diverged."""
-        robot, others = corrected(self.scored, effects)
-        q = rollout(robot, others, self.motions, self.windows, step=step)
-        return q - self.windows.of([m.q for m in self.motions])
-
-    @property
-    def all_terms(self) -> frozenset[int]:
-        """Indices of all terms."""
-        return frozenset(range(len(self.effects)))
+        """Motion error, (S + 1, W, n), [rad], simulated once; NaN where it diverged."""
+        key = repr(tuple(effects)), step
+        if key not in self._errors:
+            robot, others = corrected(self.scored, effects)
+            q = rollout(robot, others, self.motions, self.windows, step=step)
+            self._errors[key] = q - self.windows.of([m.q for m in self.motions])
+        return self._errors[key]
 
     def windows_with(self, members: Iterable[int]) -> Index:
         """Indices of the windows in which some terms act, shape (W',)."""
-        acting = np.zeros(len(self.scored.gap.fold))
+        scored, acting = self.scored, np.zeros(len(self.scored.gap.fold))
         for k in members:
-            for i, torque in enumerate(self.scored.contribution(k)):
-                rows = self.scored.evidence.rows[i]
-                acting[rows] += torque**2 / self.scored.evidence.noise[i]
+            for i, torque in enumerate(scored.contribution(k)):
+                acting[scored.evidence.rows[i]] += torque**2 / scored.evidence.noise[i]
         sums = np.concatenate([[0.0], np.cumsum(acting)])
         first = self._start[self.windows.motion] + self.windows.sample
         last = np.minimum(first + self.windows.samples, len(acting))
@@ -104,19 +86,11 @@ class Replay:
         return np.flatnonzero(share >= _LEAST_SQUARES * share.max(initial=0.0))
 
 
-def _mean_squares(error: Array) -> Array:
-    """Mean square of the motion error over time, shape (W, n), [rad²]."""
-    error = np.clip(error, -_LARGEST_ERROR, _LARGEST_ERROR)
-    error = np.where(np.isnan(error), _LARGEST_ERROR, error)
-    return np.asarray((error[1:] ** 2).mean(axis=0))
-
-
 def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     """Simulate all motions, training samples included, restarted every half second.
 
-    Returns:
-        Positions at the samples of the gap by the simulator's file, and by the
-        simulator with the findings, shape (M, n), [rad]; NaN where there is no window.
+    Positions are at the samples of the gap, by the simulator's file and with the
+    findings, shape (M, n), [rad]; NaN where there is no window.
 
     Raises:
         EffectError: An effect cannot be simulated.
@@ -124,13 +98,12 @@ def simulated_positions(scored: Explanation) -> tuple[Array, Array]:
     gap = scored.gap
     motions, usable, start = _motions(gap, np.ones(len(gap.fold), dtype=np.bool_))
     span = round(HORIZONS[0] * gap.rate)
-    motion, sample = _starts(usable, span).T
-    windows = Windows(motion, sample, span)
-    at = start[motion] + sample + np.arange(span + 1)[:, None]
+    windows = _windows(_starts(usable, span), span)
+    at = start[windows.motion] + windows.sample + np.arange(span + 1)[:, None]
 
     def positions(robot: Robot, effects: Sequence[Effect]) -> Array:
         q = np.full_like(gap.left, np.nan)
-        for step in _STEPS if len(motion) else ():
+        for step in _STEPS if at.size else ():
             q[at] = rollout(robot, effects, motions, windows, step=step)
             if np.isfinite(q[at]).all():
                 break
@@ -159,25 +132,22 @@ def _motions(gap: Gap, wanted: Mask) -> tuple[tuple[Motion, ...], list[Mask], In
 
 
 def windows_of(usable: Sequence[Mask], rate: float) -> tuple[float | None, Windows]:
-    """Choose windows without overlap in the usable samples of some motions.
+    """Windows in the usable samples of motions, (N,) each, and their length, [s].
 
-    Args:
-        usable: Mask of the usable samples of each motion, shape (N,) each.
-        rate: Samples per second, [Hz].
-
-    Returns:
-        Length of the windows, [s], and the windows; None and no windows if there are
-        too few.
+    There are none, of no length, if they are too few.
     """
     for horizon in HORIZONS:
         span = max(1, round(horizon * rate))
         found = _starts(usable, span)
         if len(found) >= _FEWEST_WINDOWS:
             chosen = np.linspace(0, len(found) - 1, min(len(found), _MOST_WINDOWS))
-            motion, sample = found[chosen.round().astype(int)].T
-            return horizon, Windows(motion, sample, span)
-    none = np.zeros(0, dtype=np.intp)
-    return None, Windows(none, none, 0)
+            return horizon, _windows(found[chosen.round().astype(int)], span)
+    return None, _windows(_starts((), 0), 0)
+
+
+def _windows(starts: Index, span: int) -> Windows:
+    motion, sample = starts.T
+    return Windows(motion, sample, span)
 
 
 def _starts(usable: Sequence[Mask], span: int) -> Index:

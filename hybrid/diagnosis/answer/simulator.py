@@ -36,13 +36,10 @@ def corrected(
 ) -> tuple[Robot, tuple[Effect, ...]]:
     """Correct the numbers of the simulator, and add some effects.
 
-    Rotor inertia and payloads become part of the arm. Links that are not physical are
-    replaced by the physical ones that change the torque of the motions least. The
-    errors of links and declared numbers are the ``background``, shape (b,); those that
-    were scored by default.
-
-    Returns:
-        The arm, and the effects that are not part of it.
+    Rotor inertia and payloads become part of the arm; the other effects are returned
+    besides. Links that are not physical are replaced by the physical ones that change
+    the torque of the motions least. The errors of links and declared numbers are the
+    ``background``, shape (b,); those that were scored by default.
     """
     robot = scored.gap.robot
     errors = scored.gains[: len(scored.rigid)] if background is None else background

@@ -21,10 +21,7 @@ _NOISE = 1.5  # times the squares of noise: noise may leave so much on held-out 
 
 
 def unseen(search: Search, found: Account, named: Sequence[Cause]) -> Unseen:
-    """Score the explanation of a search, and least squares, on held-out motions.
-
-    ``named`` are those of its causes that are findings.
-    """
+    """Score a search, of which some causes are ``named``, on held-out motions."""
     test = search.test
 
     def rms(squares: Array) -> tuple[float, ...]:
@@ -42,10 +39,9 @@ def unseen(search: Search, found: Account, named: Sequence[Cause]) -> Unseen:
 
 
 def _simulated(search: Search, causes: Sequence[Cause]) -> Array:
-    """Squares that a simulator with some causes leaves on held-out samples, (n,).
-
-    Its links are physical, and it has nothing of the background but numbers of a file.
-    """
+    """Squares that a simulator with some causes leaves on held-out samples, (n,)."""
+    # Its links are physical, and it has nothing of the background but numbers of a
+    # file.
     columns, test = search.columns(causes), search.test
     effects = [(c.candidate.effect, c.index) for c in causes if c.candidate]
     chain = search.gap.robot.chain

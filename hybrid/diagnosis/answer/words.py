@@ -54,10 +54,8 @@ def _joints_explained(diagnosis: Diagnosis) -> str:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The first effects with their joints, and the gap that is left, in a few words.
-
-    That the file is not of this arm comes before: effects then make up for it.
-    """
+    """The first effects with their joints, and the gap that is left, in a few words."""
+    # That the file is not of this arm comes before: effects then make up for it.
     named = [
         f"{effect_words(f.effect)} at {joints_named(f.joints)}"
         for f in diagnosis.findings
@@ -78,13 +76,14 @@ def headline(diagnosis: Diagnosis) -> str:
 def _fits(diagnosis: Diagnosis) -> str:
     """That there is no gap, or that small errors of the simulator's numbers are one."""
     fits = "the simulator fits the robot"
-    for joint in gap_joints(diagnosis)[:1]:
-        k = diagnosis.joints.index(joint)
-        size = f"{number(diagnosis.rms[k])}{_NO_BREAK}{_unit(diagnosis, k)}"
-        noise = number(diagnosis.noise_floor[k])
-        fits += " within the usual errors of its numbers, which add most at "
-        fits += f"{joint}: {size}, noise {noise}"
-    return fits
+    if not (joints := gap_joints(diagnosis)):
+        return fits
+    k = diagnosis.joints.index(joints[0])
+    size = f"{number(diagnosis.rms[k])}{_NO_BREAK}{_unit(diagnosis, k)}"
+    return (
+        f"{fits} within the usual errors of its numbers, which add most at "
+        f"{joints[0]}: {size}, noise {number(diagnosis.noise_floor[k])}"
+    )
 
 
 def _rest(diagnosis: Diagnosis) -> str:
@@ -118,9 +117,9 @@ def gap_joints(diagnosis: Diagnosis) -> list[str]:
 
 def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     """Verdict, gap, findings and advice in ten lines, or what three findings need."""
-    places, left = _places(diagnosis), _left(diagnosis)
     begin = [headline(diagnosis), verdict_sentence(diagnosis)]
-    begin += [*_doubts(diagnosis), *places, *left]
+    begin += [f"Doubts: {_few(diagnosis.doubts)}"] if diagnosis.doubts else []
+    begin += [*_places(diagnosis), *_left(diagnosis)]
     end = list(_endings(diagnosis))
     room = max(MOST_LINES - len(begin) - len(end), LEAST_FINDINGS + 1)
     entries = [list(_entry(k + 1, f)) for k, f in enumerate(diagnosis.findings)]
@@ -132,25 +131,17 @@ def verdict_lines(diagnosis: Diagnosis) -> list[str]:
     return [*begin, *lines, *end]
 
 
-def _doubts(diagnosis: Diagnosis) -> Iterator[str]:
-    if diagnosis.doubts:
-        yield f"Doubts: {_few(diagnosis.doubts)}"
-
-
 def _places(diagnosis: Diagnosis) -> Iterator[str]:
     """Joints with a gap, and the conditions under which it is densest."""
-    joints = diagnosis.joints
     named = [
-        f"{joint} {number(diagnosis.rms[k])}{_other_unit(diagnosis, k)} "
+        f"{diagnosis.joints[k]} {number(diagnosis.rms[k])}{_other_unit(diagnosis, k)} "
         f"(noise {number(diagnosis.noise_floor[k])})"
-        for joint, k in ((x, joints.index(x)) for x in gap_joints(diagnosis))
+        for k in map(diagnosis.joints.index, gap_joints(diagnosis))
     ]
     if diagnosis.verdict in ("no_gap", "not_excited") or not named:
         return
     yield f"RMS gap in {_TORQUE}: {_few(named, between=', ')}"
-    conditions = [r for r in diagnosis.where if r.variable != "link"]
-    if conditions:
-        first = conditions[0]
+    for first in [r for r in diagnosis.where if r.variable != "link"][:1]:
         yield f"Densest: {region_name(first)}, {first.share:.0%} of the whole gap"
 
 
@@ -226,11 +217,8 @@ def _entry(number: int, f: Finding) -> Iterator[str]:
     if f.alternatives[1:]:
         line += f"; may as well be {effects_listed(f.alternatives[1:], 'or')}"
     yield line
-    parts = [shrink_sentence(kind, s) for kind, s in f.shrink.items()]
-    if parts:
-        yield f"   {'; '.join(parts)}"
-    if f.note:
-        yield f"   {f.note}"
+    shrinks = "; ".join(shrink_sentence(kind, s) for kind, s in f.shrink.items())
+    yield from (f"   {text}" for text in (shrinks, f.note) if text)
 
 
 def pushes(diagnosis: Diagnosis) -> Iterator[str]:
@@ -270,23 +258,23 @@ def _endings(diagnosis: Diagnosis) -> Iterator[str]:
 def shrink_sentence(kind: str, s: Shrink) -> str:
     """The gap without and with a finding, and the part removed."""
     over = f" over {s.horizon_s:g} s" if s.horizon_s is not None else ""
-    change: tuple[float, ...] = (s.removed, *s.interval)
+    way, sign, ends = "less", 1, s.interval
     if s.removed < 0:
-        change = (-s.removed, *(-x for x in reversed(s.interval)))
-    size, low, high = (f"{round(100 * x)}".replace("-", "−") for x in change)
+        way, sign, ends = "more", -1, s.interval[::-1]
+    size, low, high = (
+        f"{round(100 * sign * x)}".replace("-", "−") for x in (s.removed, *ends)
+    )
     return (
         f"{kind} gap{over} {number(s.before)} → {number(s.after)}{_NO_BREAK}{s.unit}, "
-        f"{size}% {'more' if s.removed < 0 else 'less'} (95% interval {low} to {high}%)"
+        f"{size}% {way} (95% interval {low} to {high}%)"
     )
 
 
 def region_name(region: Region) -> str:
     """A region in words: ``elbow, speed 0 to 0.1 rad/s``."""
-    if region.variable == "link":
-        return f"{region.joint}, all of it from {range_name(region)}"
-    if region.variable == "direction":
-        return f"{region.joint}, {range_name(region)}"
-    return f"{region.joint}, {region.variable.replace('_', ' ')} {range_name(region)}"
+    words = {"link": "all of it from ", "direction": ""}
+    name = words.get(region.variable, f"{region.variable.replace('_', ' ')} ")
+    return f"{region.joint}, {name}{range_name(region)}"
 
 
 def region_share(region: Region) -> str:
@@ -323,11 +311,9 @@ def effects_listed(effect_ids: Sequence[str], last: str) -> str:
 
 
 def value_cells(value: Value) -> tuple[str, str, str]:
-    """A parameter as texts of its value, its interval and its unit.
-
-    The half-width of the interval has two significant digits, and the value as many
-    decimals. Without a standard deviation the interval is a dash.
-    """
+    """A parameter as texts of its value, its interval and its unit."""
+    # The half-width of the interval has two significant digits, and the value as many
+    # decimals. Without a standard deviation the interval is a dash.
     low, high = value.interval
     half = (high - low) / 2
     if not (half > 0 and np.isfinite(half)):
@@ -341,10 +327,8 @@ def value_cells(value: Value) -> tuple[str, str, str]:
 
 
 def number(x: float, digits: int = 3) -> str:
-    """A number with some significant digits and a typographic minus sign.
-
-    One from a thousandth to a million has no exponent.
-    """
+    """A number with some significant digits and a typographic minus sign."""
+    # One from a thousandth to a million has no exponent.
     return f"{float(f'{x:.{digits}g}'):.6g}".replace("-", "−")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.diagnosis.gap.gap import Columns, Gap, stacked
-from hybrid.effects import Port, effect_at, effect_classes
+from hybrid.effects import Effect, Port, effect_at, effect_classes
 from hybrid.plant.joint_fields import declared_effects
 from hybrid.robot.spatial import link_spread
 
@@ -63,10 +63,8 @@ def _link(gap: Gap, k: int) -> Columns:
 
 @_once  # the training and the test samples share them
 def friction_near_rest(gap: Gap) -> _Blocks:
-    """Columns of soft dry friction near rest, and the size of each gain.
-
-    Arms and solvers differ in the speed at which dry friction is full.
-    """
+    """Columns of soft dry friction near rest, and the size of each gain."""
+    # Arms and solvers differ in the speed at which dry friction is full.
     level, (blocks, _) = dry_friction(gap), _soft(gap)
     sizes = [np.full(x[j].shape[1], level[j]) for j, x in enumerate(blocks)]
     return blocks, sizes
@@ -89,10 +87,8 @@ def _stacked(gap: Gap, blocks: Callable[[Gap], _Blocks]) -> _Blocks:
 
 @_once  # the training and the test samples share them
 def sampling_delays(gap: Gap) -> _Blocks:
-    """Columns of torque read between two samples, and standard deviations of gains.
-
-    No log says when torque was read within a sample: its time is uniform over one.
-    """
+    """Columns of torque read between two samples, and standard deviations of gains."""
+    # No log says when torque was read within a sample: its time is uniform over one.
     delay = effect_at(Port.MEASUREMENT, shifts=True)
     late = [delay((j,)) for j in range(gap.robot.size)]
     size = gap.period / np.sqrt(12.0)
@@ -102,13 +98,20 @@ def sampling_delays(gap: Gap) -> _Blocks:
 def dry_friction(gap: Gap) -> Array:
     """Dry friction of each joint: declared, and fitted to the gap, (n,), [N·m]."""
     level = gap.robot.frictionloss.copy()
-    usual = [cls for cls in effect_classes().values() if cls.usual]
-    fields = [cls.fields.get(g.name) for cls in usual for g in cls.gains]
+    fields = [cls.fields.get(g.name) for cls in _usual() for g in cls.gains]
     for j, moving in enumerate(gap.moving.T):
-        columns = np.hstack([gap.columns(cls((j,)))[j] for cls in usual])[moving]
-        gains = np.linalg.lstsq(columns, gap.left[moving, j])[0]
+        gains = np.linalg.lstsq(usual_columns(gap, j)[moving], gap.left[moving, j])[0]
         level[j] += max(0.0, gains[fields.index("frictionloss")])
     return level
+
+
+def usual_columns(gap: Gap, joint: int) -> Array:
+    """Columns of what most drives have, such as friction and a rotor, shape (M, p)."""
+    return np.hstack([gap.columns(cls((joint,)))[joint] for cls in _usual()])
+
+
+def _usual() -> list[type[Effect]]:
+    return [cls for cls in effect_classes().values() if cls.usual]
 
 
 def soft_friction(

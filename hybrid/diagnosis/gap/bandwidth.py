@@ -2,26 +2,21 @@
 
 import numpy as np
 
-from hybrid.diagnosis.gap.background import background
+from hybrid.diagnosis.gap.background import background, usual_columns
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.effects import effect_classes
 from hybrid.regression.least_squares import pseudo_solve
 from hybrid.signals.bandwidth import torque_bandwidth
 
 
 def bandwidth(gap: Gap) -> float:
-    """Frequency above which a filter has removed torque from the logs, [Hz], or inf.
-
-    The model is a least-squares fit of links, rotors and friction to each joint.
-    """
+    """Frequency above which a filter has removed torque from the logs, [Hz], or inf."""
+    # The model is a least-squares fit of links, rotors and friction to each joint.
     links = background(gap)[0][: gap.robot.size]
-    usual = [cls for cls in effect_classes().values() if cls.usual]
     measured, model = gap.measured, np.zeros_like(gap.left)
     for j, moving in enumerate(gap.moving.T):
         if not moving.any():
             continue
-        drive = [gap.columns(cls((j,)))[j] for cls in usual]
-        X = np.hstack([x[j] for x in links if j in x] + drive)
+        X = np.hstack([*(x[j] for x in links if j in x), usual_columns(gap, j)])
         own = X[moving]
         model[:, j] = X @ pseudo_solve(own.T @ own, own.T @ measured[moving, j])
     logs = [gap.trajectory == k for k in range(len(gap.motions))]

@@ -35,10 +35,8 @@ class Baseline:
     @cached_property
     def robot(self) -> Robot:
         """The arm with the model's links, if the model has physical ones."""
-        known = self.model.inertial
-        return (
-            self.model.robot if known is None else self.model.robot.with_inertial(known)
-        )
+        robot, known = self.model.robot, self.model.inertial
+        return robot if known is None else robot.with_inertial(known)
 
     @property
     def inborn(self) -> list[str]:
@@ -48,11 +46,7 @@ class Baseline:
     def subtract_from(
         self, logs: Sequence[Recording | Motion]
     ) -> tuple[list[Recording | Motion], float]:
-        """Checked logs, or motions, without the model's effects and remainder.
-
-        Returns:
-            The logs, and the bandwidth of their torque, [Hz].
-        """
+        """Logs without the model's torque, and the bandwidth of theirs, [Hz]."""
         motions, _ = motions_from_logs(logs, self.model.cutoff)
         whole = [self.model.predict(m) for m in motions]
         band = band_of(motions, whole, self.model.cutoff)
@@ -72,11 +66,9 @@ class Baseline:
         return [_LACKS.format(", ".join(dict.fromkeys(lacks)))] if lacks else []
 
     def _could_have(self, effect: Effect) -> bool:
-        """Whether the model, or its fit, has a term for what an effect does.
-
-        Links take what a payload or a tilt does, friction terms what friction does. Of
-        ripples it has the strongest, and a contact happens once.
-        """
+        """Whether the model, or its fit, has a term for what an effect does."""
+        # Links take what a payload or a tilt does, friction terms what friction does.
+        # Of ripples it has the strongest, and a contact happens once.
         rigid = effect.rigid_change(self.robot.size, self.robot.chain.gravity)
         fields = set(effect.fields.values())
         drag = bool(fields) and fields <= {*FRICTION} and not effect.memory

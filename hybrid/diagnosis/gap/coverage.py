@@ -19,11 +19,7 @@ _LEAST_MOVING = 1.0  # s, for which a joint moves
 
 
 def not_excited(gap: Gap) -> tuple[str, ...]:
-    """Conditions that the recordings do not cover, as ``wrist does not move``.
-
-    The most important ones come first: joints that do not move, then missing
-    directions, slow motion, reversals, fast motion, and range.
-    """
+    """Conditions that the recordings do not cover, the most important ones first."""
     found = [entry for i in range(gap.robot.size) for entry in _missing(gap, i)]
     return tuple(text for _, text in sorted(found, key=lambda entry: entry[0]))
 
@@ -55,12 +51,7 @@ def _missing(gap: Gap, i: int) -> Iterator[tuple[int, str]]:
 
 
 def reversals(v: Array, still: float) -> int:
-    """Count the changes of sign of a speed, without the samples at rest.
-
-    Args:
-        v: Speed, shape (N,), [rad/s].
-        still: Largest speed of a joint at rest, [rad/s].
-    """
+    """Count the changes of sign of a speed, (N,), [rad/s], that is above ``still``."""
     sign = np.sign(v[np.abs(v) > still])
     return int(np.count_nonzero(sign[1:] != sign[:-1]))
 

@@ -18,17 +18,11 @@ _UNDER_WAY, _BESIDE = 0.05, 3  # of the highest speed; samples to either side
 
 @dataclass(frozen=True, eq=False)
 class Faults:
-    """Samples of a recording that cannot be used.
+    """Samples of a recording that cannot be used."""
 
-    Attributes:
-        posture: Samples whose position is wrong, for all joints, shape (N,).
-        torque: Samples whose torque is wrong, shape (N, n).
-        notes: The same in words.
-    """
-
-    posture: Mask
-    torque: Mask
-    notes: tuple[str, ...]
+    posture: Mask  # whose position is wrong, for all joints, shape (N,)
+    torque: Mask  # whose torque is wrong, shape (N, n)
+    notes: tuple[str, ...]  # the same in words
 
 
 def find_faults(recording: Recording) -> Faults:
@@ -48,24 +42,22 @@ def find_faults(recording: Recording) -> Faults:
                 notes.append(f"torque of {name} is {word} for {bad.mean():.0%}")
     leaps = _leaps(t, q, tau)
     if leaps.any():
-        posture |= leaps.any(axis=1)
+        at = leaps.any(axis=1)
+        posture |= at
         where = [recording.joints[j] for j in np.flatnonzero(leaps.any(axis=0))]
-        first = t[leaps.any(axis=1)][0]
         notes.append(
             f"torque of {', '.join(where)} jumps while the joint moves, first at "
-            f"{first:.3g} s, faster than the samples resolve: samples near it are left "
-            "out"
+            f"{t[at][0]:.3g} s, faster than the samples resolve: samples near it are "
+            "left out"
         )
     place = f"{recording.source}: " if recording.source else ""
     return Faults(posture, torque, tuple(place + note for note in notes))
 
 
 def _leaps(t: Array, q: Array, tau: Array) -> Mask:
-    """Samples beside a rare jump of torque while a joint moves, shape (N, n).
-
-    Where the reference jumps, so does the acceleration, at a time between two samples
-    that derivatives of positions do not resolve.
-    """
+    """Samples beside a rare jump of torque while a joint moves, shape (N, n)."""
+    # Where the reference jumps, so does the acceleration, at a time between two samples
+    # that derivatives of positions do not resolve.
     steps, v = np.diff(tau, axis=0), np.diff(q, axis=0) / np.diff(t)[:, None]
     around = np.stack([np.roll(v, k, axis=0) for k in (-_BESIDE, 0, _BESIDE)])
     slowest = _UNDER_WAY * np.abs(v).max(axis=0, initial=0.0)
@@ -82,7 +74,5 @@ def _leaps(t: Array, q: Array, tau: Array) -> Mask:
     usual = np.quantile(size, 0.99, axis=0)
     far = size > np.maximum(_JUMP * usual, _LEAP * np.ptp(tau, axis=0))
     leap = under_way & alone & far & ~impact
-    beside = np.zeros(tau.shape, dtype=bool)
-    beside[1:] |= leap
-    beside[:-1] |= leap
-    return beside
+    edge = np.zeros((1, leap.shape[1]), dtype=bool)
+    return np.asarray(np.vstack([leap, edge]) | np.vstack([edge, leap]))

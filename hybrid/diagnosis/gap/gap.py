@@ -29,45 +29,28 @@ _SMALL = 0.01  # of the typical gain, step of a finite difference
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """Measured less simulated torque along some motions, filtered and decimated.
+    """Measured less simulated torque at M samples, filtered, decimated and stacked."""
 
-    M is the number of decimated samples of all motions, stacked.
-
-    Attributes:
-        robot: The simulator that is diagnosed.
-        motions: Motions with the simulated torque, of about twelve samples in a period
-            of the cut-off or the rate of the log. Columns made from the measured torque
-            would explain its noise.
-        bodies: The simulator's rigid body along each motion.
-        cutoff: Cut-off of the low-pass filter, [Hz].
-        period: Time between two samples of the logs, [s].
-        left: The gap, shape (M, n), [N·m].
-        moving: Whether a sample is used: the joint moves and the mask allows it,
-            shape (M, n).
-        fold: Cross-validation fold of each sample, shape (M,): blocks of 3 s or less.
-            What acts in one trajectory only is in several folds.
-        trajectory: Recording of each sample, shape (M,).
-        notes: Which samples are not used, and why, in words.
-        healthy: Torque of a healthy arm that was subtracted from the logs before, along
-            each motion, shape (N, n), [N·m]; empty without one.
-        joins: The gaps whose motions it has, one after the other; empty for one that
-            was measured.
-        position_cutoff: Frequency above which positions hold more noise than motion,
-            [Hz]; the cut-off by default.
-    """
-
-    robot: Robot
+    robot: Robot  # the simulator that is diagnosed
+    # With the simulated torque, of about twelve samples in a period of the cut-off or
+    # the rate of the log. Columns of the measured torque would explain its noise.
     motions: tuple[Motion, ...]
-    bodies: tuple[RigidBody, ...]
-    cutoff: float
-    period: float
-    left: Array
-    moving: Mask
+    bodies: tuple[RigidBody, ...]  # of the simulator, along each motion
+    cutoff: float  # of the low-pass filter, [Hz]
+    period: float  # time between two samples of the logs, [s]
+    left: Array  # the gap, shape (M, n), [N·m]
+    moving: Mask  # whether the joint moves and the mask allows it, shape (M, n)
+    # Cross-validation fold of each sample, shape (M,): blocks of 3 s or less. What acts
+    # in one trajectory only is in several folds.
     fold: Index
-    trajectory: Index
-    notes: tuple[str, ...] = ()
+    trajectory: Index  # recording of each sample, shape (M,)
+    notes: tuple[str, ...] = ()  # which samples are not used, and why
+    # Torque of a healthy arm that was subtracted from the logs before, along each
+    # motion, shape (N, n), [N·m]; empty without one.
     healthy: tuple[Array, ...] = ()
-    joins: tuple[Gap, ...] = ()
+    joins: tuple[Gap, ...] = ()  # whose motions it has, in order; empty if measured
+    # Frequency above which positions hold more noise than motion, [Hz]; the cut-off by
+    # default.
     position_cutoff: float = 0.0
     _kept: dict[Hashable, Columns] = field(default_factory=dict, init=False)
 
@@ -82,20 +65,16 @@ class Gap:
         return self.cutoff < self.position_cutoff
 
     def lower_cutoff(self, part: float = LOWER_BAND) -> float:
-        """Cut-off of derivatives of positions, a part of that of positions, [Hz].
-
-        Above half of it they are mostly noise.
-        """
+        """Cut-off of derivatives of positions, a part of that of positions, [Hz]."""
+        # Above half of it they are mostly noise.
         return min(self.cutoff, part * max(self.position_cutoff, self.cutoff))
 
     @cached_property
     def scales(self) -> tuple[Scale, ...]:
-        """Rated torque and speed of each joint.
-
-        Where the file states no torque limit, the rated torque is at least the largest
-        measured one. Where it states no speed limit, the rated speed is at most the
-        largest measured one.
-        """
+        """Rated torque and speed of each joint."""
+        # Where the file states no torque limit, the rated torque is at least the
+        # largest measured one. Where it states no speed limit, the rated speed is at
+        # most the largest measured one.
         known = joint_scales(self.robot)
         torque, speed = np.array([(s.torque, s.speed) for s in known]).T
         seen, fastest = (np.abs(x).max(axis=0) for x in (self.measured, self.sampled.v))
@@ -166,12 +145,12 @@ class Gap:
         """See :meth:`columns`; whether or not the recordings allow the law."""
         gains = effect.gains if effect.linearised or effect.steep else ()
         values = tuple(effect.values[x.name] for x in (*gains, *effect.shapes))
-        key = type(effect), effect.joints, values, lower_band
-        if key not in self._kept:
-            if len(self._kept) == _KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = self._evaluated(effect, lower_band)
-        return self._kept[key]
+        key, kept = (type(effect), effect.joints, values, lower_band), self._kept
+        if key not in kept:
+            if len(kept) == _KEPT:
+                kept.pop(next(iter(kept)))
+            kept[key] = self._evaluated(effect, lower_band)
+        return kept[key]
 
     def _evaluated(self, effect: Effect, lower_band: bool) -> Columns:
         """See :meth:`columns`; shape (M, p) at each joint."""
@@ -190,11 +169,9 @@ class Gap:
         return dict(zip(reached, self.filtered(parts).swapaxes(0, 1), strict=True))
 
     def filtered(self, signals: Sequence[Array]) -> Array:
-        """Signals along each motion, (N, r, p), as the gap is filtered, (M, r, p).
-
-        A few signals of motions of one length are filtered at once, which halves the
-        time of one signal. More of them would leave the processor's cache.
-        """
+        """Signals along each motion, (N, r, p), as the gap is filtered, (M, r, p)."""
+        # A few signals of motions of one length are filtered at once, which halves the
+        # time of one signal. More of them would leave the processor's cache.
         each = [(x.T, s) for x, s in zip(signals, self.samplers, strict=True)]
         parts = list[Array]()  # (p, r, M): time is last, as in the filter
         for (shape, sampler), same in groupby(each, lambda x: (x[0].shape, x[1])):
@@ -209,11 +186,9 @@ class Gap:
         return bool(frequency > _VISIBLE * self.cutoff)
 
     def _first(self, effect: Effect, motion: Motion, body: RigidBody) -> Array:
-        """Derivative of the torque with respect to each gain, shape (N, r, p).
-
-        For an effect that changes the observed motion it includes the change of the
-        torque of rotor, damping and spring.
-        """
+        """Derivative of the torque with respect to each gain, shape (N, r, p)."""
+        # For an effect that changes the observed motion it includes the change of the
+        # torque of rotor, damping and spring.
         columns = effect.columns(motion, body)
         if not effect.observes or effect.steep:
             return columns
@@ -247,11 +222,9 @@ class Gap:
 
     @cached_property
     def lower_band(self) -> list[tuple[Motion, RigidBody, Sampler]]:
-        """Motions, bodies and samplers in the lower half of the band.
-
-        A further derivative of a noisy position is mostly noise. The gain of a noisy
-        column would come out too small.
-        """
+        """Motions, bodies and samplers in the lower half of the band."""
+        # A further derivative of a noisy position is mostly noise. The gain of a noisy
+        # column would come out too small.
         parts = []
         for m, body, sampler in self:
             low = partial(butterworth, rate=m.rate, cutoff=self.lower_cutoff())
@@ -264,11 +237,9 @@ class Gap:
 
     @cached_property
     def lower_band_reported(self) -> list[tuple[Motion, RigidBody, Sampler]]:
-        """:attr:`lower_band` for effects that change the reported torque.
-
-        Declared dry friction has no noise, and keeps its band up to 25 Hz; so does
-        the torque of a healthy arm, which is mostly friction.
-        """
+        """:attr:`lower_band` for effects that change the reported torque."""
+        # Declared dry friction has no noise, and keeps its band up to 25 Hz; so does
+        # the torque of a healthy arm, which is mostly friction.
         parts, band = [], self.lower_cutoff()
         more = self.healthy or [np.zeros(1)] * len(self.motions)
         each = zip(self.motions, more, self.lower_band, strict=True)

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hybrid.arrays import Array
-from hybrid.diagnosis.gap.background import background
+from hybrid.diagnosis.gap.background import background, usual_columns
 from hybrid.diagnosis.gap.gap import Gap
-from hybrid.effects import effect_classes
 
 _LEAST_GAIN = 1.0  # nat, of another gravity; of right files none reached 0.1
 _LEAST_LEFT = 0.01  # of a joint's squares: a law of friction leaves as much
@@ -29,17 +28,11 @@ _TINY = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class _Joint:
-    """Torque of a joint beyond its drive, over the root of its squares.
+    """Torque of a joint beyond its drive, over the root of its squares."""
 
-    Attributes:
-        left: Measured less simulated torque, shape (M,).
-        gravity: Torque of the file's links per gravity in x, y and z, shape (M, 3).
-        least: Share of the squares that any links on the chain leave.
-    """
-
-    left: Array
-    gravity: Array
-    least: float
+    left: Array  # measured less simulated, (M,)
+    gravity: Array  # of the file's links, per gravity in x, y and z, (M, 3)
+    least: float  # share of the squares that any links on the chain leave
 
     def squares(self, change: Array) -> float:
         """What the file's links leave in gravity that is changed, shape (3,)."""
@@ -51,30 +44,23 @@ class _Joint:
 
 
 class Unlike(NamedTuple):
-    """What of a file is not as in the logs, in a few words; and as a doubt.
-
-    Both are empty if the file may be of this arm.
-    """
+    """What of a file is not as in the logs, in a few words and as a doubt; or empty."""
 
     short: str
     doubt: str
 
 
 def unlike(gap: Gap) -> Unlike:
-    """Say whether the file's links or its gravity are not this arm's.
-
-    Gravity comes first: with another one no links fit.
-    """
+    """Say whether the file's links or its gravity are not this arm's."""
+    # Gravity comes first: with another one no links fit.
     joints = list(_joints(gap))
     return _other_gravity(gap, joints) or _other_arm(joints) or Unlike("", "")
 
 
 def _other_gravity(gap: Gap, joints: list[_Joint]) -> Unlike | None:
-    """Say that gravity comes from elsewhere than in the file, if it clearly does.
-
-    The file's links in gravity of any size and direction, which have to fit, are
-    compared with those in gravity of other sizes, as masses may be off.
-    """
+    """Say that gravity comes from elsewhere than in the file, if it clearly does."""
+    # The file's links in gravity of any size and direction, which have to fit, are
+    # compared with those in gravity of other sizes, as masses may be off.
     if not joints:
         return None
     own = gap.robot.chain.gravity
@@ -86,10 +72,8 @@ def _other_gravity(gap: Gap, joints: list[_Joint]) -> Unlike | None:
         for g in (scaled, change)
     )
     gain = 0.5 * float(np.log(before / after).sum())
-    aligned = other @ own >= np.cos(_LARGEST_TILT) * np.prod(
-        [np.linalg.norm(g) for g in (other, own)]
-    )
-    aligned = aligned and own.any()
+    sizes = [np.linalg.norm(g) for g in (other, own)]
+    aligned = own.any() and other @ own >= np.cos(_LARGEST_TILT) * np.prod(sizes)
     if gain < _LEAST_GAIN or aligned or _bad_joints(joints, change):
         return None
     in_file, in_logs = (
@@ -128,19 +112,15 @@ def _least_squares(columns: list[Array], joints: list[_Joint]) -> Array:
 
 def _joints(gap: Gap) -> Iterator[_Joint]:
     """Joints that move."""
-    n = gap.robot.size
-    links = background(gap)[0][:n]
+    links = background(gap)[0][: gap.robot.size]
     load = np.concatenate([sampler(body.load) for _, body, sampler in gap])
     gravity = np.concatenate([
         np.stack([sampler(body.weight(g)) for g in np.eye(3)], axis=-1)
         for _, body, sampler in gap.lower_band
     ])  # fmt: skip
-    usual = [cls for cls in effect_classes().values() if cls.usual]
-    for j, used in enumerate(gap.moving.T):
-        if not used.any():
-            continue
-        drive = np.hstack([gap.columns(cls((j,)))[j] for cls in usual])[used]
-        basis = _basis(drive)
+    for j in np.flatnonzero(gap.moving.any(axis=0)).tolist():
+        used = gap.moving[:, j]
+        basis = _basis(usual_columns(gap, j)[used])
 
         def beyond(x: Array, basis: Array = basis) -> Array:
             return np.asarray(x - basis @ (basis.T @ x))

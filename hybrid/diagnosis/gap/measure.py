@@ -44,12 +44,10 @@ def measure_gap(
 ) -> Gap:
     """Measure the gap between logs and a simulator.
 
-    Args:
-        robot: The simulator, with the friction that its file declares.
-        recordings: Checked logs of the real arm, or motions made from them.
-        cutoff: Cut-off, [Hz]; chosen from the spectrum of positions if not given.
-        band: Bandwidth of the logged torque, [Hz]: no higher frequency is compared.
-        correct: Correction of each motion; see :mod:`.convention`.
+    Recordings are checked logs of the real arm, or motions made from them. The cut-off
+    is in [Hz], chosen from the spectrum of positions if not given; above the band of
+    logged torque, [Hz], nothing is compared. Motions may be corrected; see
+    :mod:`.convention`.
 
     Raises:
         RecordingError: A recording has no torque, or there are motions alone and no
@@ -122,11 +120,9 @@ def _folds(motions: Sequence[Motion], cutoff: float) -> tuple[Index, Index]:
 
 
 def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
-    """Simulated torque, or the measured one where both differ much, (N, n), [N·m].
-
-    The gap contains the noise of the measured torque: columns that contain it too would
-    seem to explain the gap. So the measured torque has to be far above it, too.
-    """
+    """Simulated torque, or the measured one where both differ much, (N, n), [N·m]."""
+    # The gap contains the noise of the measured torque: columns that contain it too
+    # would seem to explain the gap. So the measured torque has to be far above it, too.
     low = partial(butterworth, motion.tau - simulated, rate=motion.rate)
     slow = low(cutoff=LOWER_BAND * cutoff)
     rough = np.abs(low(cutoff=cutoff) - slow)
@@ -138,9 +134,9 @@ def _asked(motion: Motion, simulated: Array, cutoff: float) -> Array:
 
 def _faults(recording: Recording | Motion, motion: Motion, cutoff: float) -> Faults:
     """Faults at the samples of a motion, and within reach of the filter."""
-    N, n = motion.tau.shape
     if isinstance(recording, Motion):
-        return Faults(np.zeros(N, dtype=bool), np.zeros((N, n), dtype=bool), ())
+        none = np.zeros(motion.tau.shape, dtype=bool)
+        return Faults(none[:, 0], none, ())
     found = find_faults(recording.in_order(motion.joints))
     near = np.clip(np.searchsorted(recording.t, motion.t), 0, len(recording.t) - 1)
     both = np.column_stack([found.posture, found.torque])[near]
@@ -162,30 +158,23 @@ def block_seconds(motions: Sequence[Motion]) -> float:
 
 
 def seconds(gap: Gap) -> Index:
-    """Second of each sample, shape (M,): a block for the bootstrap.
-
-    Residuals are correlated for about that time.
-    """
+    """Second of each sample, (M,): a block, as residuals are correlated so long."""
     return np.arange(len(gap.fold)) // max(1, round(gap.rate))
 
 
 def split(gap: Gap) -> Mask:
-    """Training samples, shape (M,); the others are the test set.
-
-    Every fourth trajectory is for testing. Where there are fewer than four, it is every
-    fourth block of time, less a part at both ends; see :func:`unseen_samples`. Another
-    split is taken where the test set alone holds squares that are far larger than all
-    of the training set.
-    """
+    """Training samples, shape (M,); the others are the test set."""
+    # Every fourth trajectory is for testing. Where there are fewer than four, it is
+    # every fourth block of time, less a part at both ends; see :func:`unseen_samples`.
+    # Another split is taken where the test set alone holds squares that are far larger
+    # than all of the training set.
     part, count = gap.trajectory, gap.trajectory.max() + 1
     masks = [part % 4 != k for k in (3, 2, 1, 0)]
     if count < 4:
         part = gap.fold * count + gap.trajectory
         # Another block of each trajectory, as trajectories often end alike.
-        masks = [
-            (gap.fold + turn * gap.trajectory + more) % 4 != 3
-            for more in range(4) for turn in (1, 2, 0)
-        ]  # fmt: skip
+        ways = [turn * gap.trajectory + more for more in range(4) for turn in (1, 2, 0)]
+        masks = [(gap.fold + way) % 4 != 3 for way in ways]
         masks = [x for x in masks if x.any() and not x.all()] or masks[:1]
     most = _unusual(gap, part)
     alone = [most[~x].max(initial=0.0) / most[x].max(initial=1e-300) for x in masks]
@@ -194,10 +183,7 @@ def split(gap: Gap) -> Mask:
 
 
 def _unusual(gap: Gap, part: Index) -> Array:
-    """Mean squares of each sample's part over the median of all parts, shape (M,).
-
-    The joint with the largest ratio counts.
-    """
+    """Mean squares of a sample's part over the usual ones, at its worst joint, (M,)."""
     parts, own = np.unique(part, return_inverse=True)
     squares = np.where(gap.moving, gap.left, 0.0) ** 2
     mean = np.stack([
@@ -209,10 +195,8 @@ def _unusual(gap: Gap, part: Index) -> Array:
 
 
 def unseen_samples(gap: Gap, learn: Mask) -> Mask:
-    """Test samples beside given training samples, shape (M,).
-
-    Whole trajectories are tested; blocks of one lose a sixth at both ends.
-    """
+    """Test samples beside given training samples, shape (M,)."""
+    # Whole trajectories are tested; blocks of one lose a sixth at both ends.
     if gap.trajectory.max() >= 3:
         return ~learn
     reach = round(block_seconds(gap.motions) / 6 * gap.rate)

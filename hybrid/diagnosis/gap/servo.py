@@ -38,17 +38,12 @@ class Law:
     The feed-forward torque F is that of the simulator along the command, its gravity,
     or zero. The commanded speed v_ref may be absent. h is k_d times the delay of the
     speed that the servo measures, which is filtered or a difference of positions.
-
-    Attributes:
-        columns: The law's columns as combinations of a joint's signals, shape (9, p).
-        target: The torque to be explained as a combination of them, shape (9,).
-        scaled: Whether the first column is the feed-forward torque (with the declared
-            servo, where gains are given), for logs whose torque is off by a factor.
-            Stiffness and damping, where free, come next.
     """
 
-    columns: Array
-    target: Array
+    columns: Array  # the law's columns, of the signals of a joint, shape (9, p)
+    target: Array  # the torque to be explained, of the same signals, shape (9,)
+    # Whether the first column is the feed-forward torque (with the declared servo if
+    # gains are given), for logs whose torque is off by a factor. Free gains come next.
     scaled: bool
 
 
@@ -69,21 +64,13 @@ def laws(kp: float = np.nan, kd: float = np.nan) -> Iterator[Law]:
 
 @dataclass(frozen=True, eq=False)
 class ServoLog:
-    """One joint's command, motion and torque, filtered as the gap is.
+    """One joint's command, motion and torque, filtered as the gap is."""
 
-    Attributes:
-        row: Samples of the gap, shape (M,).
-        t: Their time, with a pause between recordings, shape (M,), [s].
-        own: Gravity torque, position, speed and acceleration, shape (M, 4).
-        asked: Feed-forward torque, commanded position and speed, as functions of time.
-        torque: Logged torque, as a function of time.
-    """
-
-    row: Index
-    t: Array
-    own: Array
-    asked: CubicSpline
-    torque: CubicSpline
+    row: Index  # samples of the gap, shape (M,)
+    t: Array  # their time, with a pause between recordings, shape (M,), [s]
+    own: Array  # gravity torque, position, speed and acceleration, shape (M, 4)
+    asked: CubicSpline  # feed-forward torque, commanded position and speed, over time
+    torque: CubicSpline  # logged torque, over time
 
     def signals(self, late: float, shift: float) -> Array:
         """All signals at command latency T and torque delay S, [s], shape (M, 9)."""
@@ -119,23 +106,17 @@ class ServoLog:
     @cached_property
     def thin(self) -> Self:
         """A subset of the samples, to find an initial guess."""
-        k = max(1, len(self.row) // _ENOUGH)
-        return replace(self, row=self.row[::k], t=self.t[::k], own=self.own[::k])
+        return self.at(slice(None, None, max(1, len(self.row) // _ENOUGH)))
 
-    def only(self, use: Mask) -> Self:
-        """The samples of a mask over the gap's, shape (all,)."""
-        k = use[self.row]
-        return replace(self, row=self.row[k], t=self.t[k], own=self.own[k])
+    def at(self, use: Mask | slice) -> Self:
+        """Some of the samples."""
+        return replace(self, row=self.row[use], t=self.t[use], own=self.own[use])
 
 
 def servo_logs(
     gap: Gap, recordings: Sequence[Recording | Motion]
 ) -> list[ServoLog | None]:
-    """Servo signals of each joint, from the recordings that have a command.
-
-    Returns:
-        ``None`` for joints that hardly move, or where no command was logged.
-    """
+    """Servo signals of each joint that was commanded and moves; ``None`` for others."""
     clock, parts, rows = 0.0, [], []
     for k, recording in enumerate(recordings):
         if isinstance(recording, Recording) and recording.command is not None:
@@ -154,13 +135,8 @@ def servo_logs(
         whole = CubicSpline(t, torque[:, i])
         clipped = np.abs(whole(at)) > _CLIPPED * gap.robot.tau_max[i]
         use = known & gap.moving[row, i] & ~clipped
-        if np.count_nonzero(use) < FEWEST:
-            found.append(None)
-            continue
-        found.append(
-            ServoLog(row[use], at[use], own[use, :, i],
-                     CubicSpline(t, asked[:, :, i]), whole)
-        )  # fmt: skip
+        log = ServoLog(row, at, own[:, :, i], CubicSpline(t, asked[:, :, i]), whole)
+        found.append(log.at(use) if np.count_nonzero(use) >= FEWEST else None)
     return found
 
 
