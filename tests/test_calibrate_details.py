@@ -16,7 +16,7 @@ from hybrid.calibration.alignment import _linear, _nearest_rotation, _stations, 
 from hybrid.calibration.calibrate import (
     _group,
     _load,
-    _rank,
+    build_setup,
     observability_index,
 )
 from hybrid.calibration.covariance import clustered_covariance
@@ -178,8 +178,10 @@ def test_parameters_have_their_group_unit_and_place():
         "scale": "scale", "compliance_elbow": "compliance",
     }  # fmt: skip
     assert {x: _group(x) for x in groups} == groups
-    ranks = [_rank(x) for x in ("base_x", "tool_x", "theta_1", "a_1", "alpha_1", "d_1")]
-    assert ranks == sorted(ranks)
+    q = random_poses(coman(), 30, np.random.default_rng(0))
+    labels = build_setup(coman(), measured(coman().chain, q, "pose")).labels
+    kinds = list(dict.fromkeys(label.split("_")[0] for label in labels))
+    assert kinds == ["base", "tool", "theta", "a", "alpha", "d", "beta"]
 
 
 def test_the_load_is_the_torque_of_gravity():

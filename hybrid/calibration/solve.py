@@ -126,18 +126,9 @@ def solve(
     residual, jacobian, pose = fit.weighted(x)
     covariance, degrees = clustered_covariance(jacobian, residual, pose)
     return KinematicSolution(
-        labels=fit.labels,
-        x=x,
-        covariance=covariance,
-        degrees=degrees,
-        noise=fit.noise,
-        reduced=reduced,
-        jacobian=jacobian,
-        rejected=tuple(fit.rejected),
-        iterations=fit.iterations,
-        evaluations=fit.evaluations,
-        converged=fit.converged,
-    )
+        fit.labels, x, covariance, degrees, fit.noise, reduced, jacobian,
+        tuple(fit.rejected), fit.iterations, fit.evaluations, fit.converged,
+    )  # fmt: skip
 
 
 def _change(before: Mapping[str, float], after: Mapping[str, float]) -> float:
@@ -210,18 +201,11 @@ class _Fit:
         self, x: Array, *, loss: Literal["linear", "cauchy"] = "linear"
     ) -> Array:
         """Weighted least squares from a first estimate."""
-
-        def residual(x: Array) -> Array:
-            return self.weighted(x)[0]
-
-        def jacobian(x: Array) -> Array:
-            return self.weighted(x)[1]
-
         plain = loss == "linear"
         result = least_squares(
-            residual,
+            lambda x: self.weighted(x)[0],
             x,
-            jacobian,
+            lambda x: self.weighted(x)[1],
             method="lm" if plain else "trf",
             loss=loss,
             x_scale="jac",
