@@ -38,12 +38,9 @@ _GROUP = {
 class Setup:
     """The problem that :func:`calibrate` solves.
 
-    Attributes:
-        robot: Nominal arm.
-        geometry: Its axes as Denavit-Hartenberg rows.
-        model: Kinematics from the instrument to the measured points, aligned.
-        labels: Free parameters; of equivalent ones, the first is identified.
-        load: Torque of gravity on each joint, shape (N, n), [N·m].
+    The nominal arm has a geometry of Denavit-Hartenberg rows, and an aligned model from
+    the instrument to the measured points. Of equivalent ones among the free parameters,
+    the first is identified. The load is the torque of gravity, shape (N, n), [N·m].
     """
 
     robot: Robot

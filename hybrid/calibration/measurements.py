@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -83,6 +84,6 @@ class Measurements:
 
     def at(self, rows: Index | Mask) -> Measurements:
         """Some of the poses."""
-        arrays = (getattr(self, name) for name in _SHAPES)
-        some = (x if x is None else x[rows] for x in arrays)
-        return Measurements(*some, source=self.source)
+        some: dict[str, Any] = {name: getattr(self, name) for name in _SHAPES}
+        some = {name: x if x is None else x[rows] for name, x in some.items()}
+        return replace(self, **some)
