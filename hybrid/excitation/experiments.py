@@ -7,7 +7,6 @@ robot file's limits; an :class:`.ExcitationError` names a limit that prevents a 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -194,7 +193,6 @@ def checked(robot: Robot, reference: Reference, limits: Limits) -> Reference:
     Raises:
         ExcitationError: It exceeds a limit; the message names limit and joint.
     """
-    limits = replace(limits, jerk=np.full(robot.size, np.inf))
     path, torque = path_from_reference(reference), TorqueLimits(robot, limits.torque)
     for constraint in (MotionLimits(limits, robot.joints), torque):
         worst = constraint.excess(path).max(axis=0, initial=-1.0)
