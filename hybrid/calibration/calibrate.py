@@ -75,10 +75,10 @@ class Calibration(Shown):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Corrections to the nominal arm, with standard deviations."""
-        values, std = self.solution.values(), self.solution.std.tolist()
+        units, std = self.setup.model.units, self.solution.std.tolist()
         return tuple(
-            Parameter(label, x, unit=self.setup.model.units[label], std=own)
-            for (label, x), own in zip(values.items(), std, strict=True)
+            Parameter(label, x, unit=units[label], std=own)
+            for (label, x), own in zip(self.solution.values().items(), std, strict=True)
         )
 
     @property
@@ -90,11 +90,9 @@ class Calibration(Shown):
             for label, joined in self.solution.reduced.dropped.items()
         ]
         if any(label.startswith("theta_") for label in self.setup.labels):
-            lines += [
-                f"d_{chain.joints[k]}: joins d_{chain.joints[k + 1]}, the axes are "
-                "parallel"
-                for k in np.flatnonzero(self.setup.geometry.parallel)
-            ]
+            for k in np.flatnonzero(self.setup.geometry.parallel):
+                joined = f"d_{chain.joints[k]}: joins d_{chain.joints[k + 1]}"
+                lines.append(f"{joined}, the axes are parallel")
         return tuple(lines)
 
     @property

@@ -110,9 +110,7 @@ def _turned(R: Array, axis: int, angle: Array) -> Array:
 
 def free_frame(prefix: str, *, turns: bool = True) -> tuple[Step, ...]:
     """Three unknown shifts, then three unknown rotations: ``base_x`` to ``base_rz``."""
-    shifts = tuple(Step(k, False, parameter=f"{prefix}_{'xyz'[k]}") for k in range(3))
-    if not turns:
-        return shifts
-    return shifts + tuple(
-        Step(k, True, parameter=f"{prefix}_r{'xyz'[k]}") for k in range(3)
+    names = ("x", "y", "z", "rx", "ry", "rz")[: 6 if turns else 3]
+    return tuple(
+        Step(k % 3, k > 2, parameter=f"{prefix}_{name}") for k, name in enumerate(names)
     )

@@ -68,13 +68,10 @@ class Observation:
 
         Dry friction is smoothed within a speed, [rad/s]; 0 is a step.
         """
-        rigid, gains = self._kept
-        Y = np.empty((len(path.t), self.chain.size, self.size))
-        full = regressor(self.chain, path.q, path.v, path.a)
-        Y[:, :, : len(rigid)] = full[:, :, rigid]
-        if len(gains):
-            Y[:, :, len(rigid) :] = self._effects(path, turning_speed)[:, :, gains]
-        return np.asarray(self.whitening @ Y * self.scale)
+        Y = regressor(self.chain, path.q, path.v, path.a)
+        if self.gains:
+            Y = np.concatenate([Y, self._effects(path, turning_speed)], axis=2)
+        return np.asarray(self.whitening @ Y.take(self.base.kept, axis=2) * self.scale)
 
     def gram(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
         """Information of a motion, Wᵀ W, shape (b, b)."""
@@ -83,18 +80,14 @@ class Observation:
 
     def gradient(self, path: Path, weight: Array) -> tuple[Array, Array, Array]:
         """Derivatives of ``sum(weight * matrix(path))`` by q, v and a, (N, n) each."""
-        rigid, gains = self._kept
-        seed = self.whitening.T @ weight * self.scale
-        n = self.chain.size
-        full = np.zeros((len(path.t), n, 10 * n))
-        full[:, :, rigid] = seed[:, :, : len(rigid)]
-        own = np.zeros((3, *path.q.shape))
-        if len(gains):
-            effects = np.zeros((len(path.t), n, len(self.gains)))
-            effects[:, :, gains] = seed[:, :, len(rigid) :]
-            own, load = self._effects_gradient(path, effects)
-            full += load[:, :, None] * self.chain.inertial.ravel()
-        by = regressor_gradient(self.chain, path.q, path.v, path.a, full)
+        links = 10 * self.chain.size
+        every = np.zeros((*path.q.shape, links + len(self.gains)))
+        every[:, :, list(self.base.kept)] = self.whitening.T @ weight * self.scale
+        seed, own = every[:, :, :links], np.zeros((3, *path.q.shape))
+        if self.gains:
+            own, load = self._effects_gradient(path, every[:, :, links:])
+            seed = seed + load[:, :, None] * self.chain.inertial.ravel()
+        by = regressor_gradient(self.chain, path.q, path.v, path.a, seed)
         return by[0] + own[0], by[1] + own[1], by[2] + own[2]
 
     def with_structure(
@@ -112,13 +105,6 @@ class Observation:
         return replace(
             self, effects=every, base=base, scale=np.append(self.scale, more)
         )
-
-    @cached_property
-    def _kept(self) -> tuple[list[int], list[int]]:
-        """Indices of the kept inertial columns, and of the kept gains."""
-        n = 10 * self.chain.size
-        kept = self.base.kept
-        return [k for k in kept if k < n], [k - n for k in kept if k >= n]
 
     @cached_property
     def _laws(self) -> list[_Law]:

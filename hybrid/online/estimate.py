@@ -49,12 +49,8 @@ class OnlineEstimate:
     def taken(self) -> Array:
         """The most probable payload of the last change, shape (10,)."""
         mean, covariance = self._before
-        return likely_payload(
-            self.filter.mean - mean,
-            covariance + self.filter.covariance,
-            self._payload,
-            self._sizes,
-        )
+        change, both = self.filter.mean - mean, covariance + self.filter.covariance
+        return likely_payload(change, both, self._payload, self._sizes)
 
     def learn(self, row: Array, t: float) -> Generator[None, None, float | None]:
         """Update with a row, in steps.
