@@ -86,7 +86,7 @@ class Observation:
         seed, own = every[:, :, :links], np.zeros((3, *path.q.shape))
         if self.gains:
             own, load = self._effects_gradient(path, every[:, :, links:])
-            seed = seed + load[:, :, None] * self.chain.inertial.ravel()
+            seed += load[:, :, None] * self.chain.inertial.ravel()
         by = regressor_gradient(self.chain, path.q, path.v, path.a, seed)
         return by[0] + own[0], by[1] + own[1], by[2] + own[2]
 
