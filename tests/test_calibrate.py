@@ -104,8 +104,11 @@ def geometry_of(labels: tuple[str, ...]) -> Array:
     return np.array([not label.startswith(frames) for label in labels])
 
 
-@pytest.mark.parametrize("name", ["ur10", "panda", "z1"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [*(("ur10", kind) for kind in KINDS), ("panda", "pose"), ("panda", "distance"),
+     ("z1", "position"), ("z1", "reflectors")],
+)  # fmt: skip
 def test_noise_free_measurements_give_the_arm_back(name, kind):
     # Random errors in all six directions of every joint frame: what the parameters
     # could not express would stay as an error on poses left out.
@@ -115,41 +118,27 @@ def test_noise_free_measurements_give_the_arm_back(name, kind):
     data = measured(chain, q, kind)
     found = calibrate(robot, data.at(np.arange(60)))
     assert found.solution.converged
-    assert found.solution.iterations <= 25
+    assert found.solution.iterations <= (20 if robot.size == 6 else 25)
     for error in found.errors(data.at(np.arange(60, 90))).values():
         assert error.max() < 1e-9
     assert not found.solution.rejected
 
 
-def test_a_six_axis_arm_needs_at_most_twenty_iterations():
-    q = np.random.default_rng(1).uniform(-2, 2, (50, 6))
-    for kind in ("pose", "position", "reflectors"):
-        data = measured(disturbed(coman().chain), q, kind)
-        assert calibrate(coman(), data).solution.iterations <= 20
-
-
 @pytest.mark.parametrize("seed", range(12))
-def test_any_chain_walks_the_same_as_denavit_hartenberg_rows(seed):
-    chain = random_arm(seed).chain
-    q = random_states(chain.size, 5)[0]
-    end = follow(start(q), geometry_from_chain(chain).steps, q, {})
-    R, p = flange(chain, q)
-    np.testing.assert_allclose(end.rotation, R, atol=1e-12)
-    np.testing.assert_allclose(end.origin, p, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_changed_rows_and_the_chain_made_from_them_agree(seed):
+def test_rows_walk_as_their_chain_and_changed_rows_as_the_chain_made_from_them(seed):
     chain = random_arm(seed).chain
     geometry = geometry_from_chain(chain)
     q = random_states(chain.size, 5)[0]
     rng = np.random.default_rng(seed)
     labels = follow(start(q), geometry.steps, q, {}).twists
     values = {label: 0.05 * rng.normal() for label in labels}
-    end = follow(start(q), geometry.steps, q, values)
-    R, p = flange(chain_from_values(chain, geometry, values), q)
-    np.testing.assert_allclose(end.rotation, R, atol=1e-12)
-    np.testing.assert_allclose(end.origin, p, atol=1e-12)
+    # Without changes, the rows are those of the chain itself.
+    changed = chain_from_values(chain, geometry, values)
+    for arm, corrections in ((chain, {}), (changed, values)):
+        end = follow(start(q), geometry.steps, q, corrections)
+        R, p = flange(arm, q)
+        np.testing.assert_allclose(end.rotation, R, atol=1e-12)
+        np.testing.assert_allclose(end.origin, p, atol=1e-12)
 
 
 @settings(max_examples=25)
@@ -202,7 +191,7 @@ def test_errors_stay_within_a_fifth_of_the_cramer_rao_bound(outliers):
     J = exact.solution.jacobian * exact.solution.noise["position"] / NOISE
     bound = np.diagonal(np.linalg.inv(J.T @ J))[arm]
     errors, inside = [], []
-    for seed in range(20):
+    for seed in range(12):
         data = measured(chain, q, "position", noise=NOISE, outliers=outliers, seed=seed)
         found = calibrate(coman(), data)
         assert found.solution.labels == exact.solution.labels
@@ -352,7 +341,7 @@ def test_base_and_tool_frames_are_found():
 def test_the_error_on_poses_left_out_falls_to_the_noise():
     q = random_poses(coman(), 60, np.random.default_rng(3))
     data = measured(disturbed(coman().chain), q, "position", noise=NOISE)
-    errors = cross_validate(coman(), data)
+    errors = cross_validate(coman(), data, folds=3)
     assert len(errors.calibrated["position"]) == 60
     assert np.median(errors.nominal["position"]) > 1e-3
     assert np.median(errors.calibrated["position"]) < 4 * NOISE
@@ -363,8 +352,11 @@ def test_nothing_is_fitted_to_the_nominal_arm_where_frames_are_known():
     R, p = flange(disturbed(coman().chain), q)
     nominal = flange(coman().chain, q)[1]
     data = Measurements(q, p[:, None], R)
-    found = cross_validate(coman(), data, free=("geometry",)).nominal["position"]
-    order = np.argsort(np.arange(40) % 5, kind="stable")
+    errors = cross_validate(coman(), data, free=("geometry",), folds=2)
+    found, order = (
+        errors.nominal["position"],
+        np.argsort(np.arange(40) % 2, kind="stable"),
+    )
     np.testing.assert_allclose(found, np.linalg.norm(p - nominal, axis=1)[order])
     with pytest.raises(CalibrationError, match="nothing is free"):
         calibrate(coman(), data, free=())

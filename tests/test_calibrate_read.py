@@ -96,7 +96,7 @@ def test_a_missing_file_is_said_to_be_missing(tmp_path):
 
 def test_arrays_of_other_shapes_are_refused():
     q = np.zeros((4, 2))
-    with pytest.raises(CalibrationError, match=r"valid are \(N, n\) and \(N, r, 3\)"):
+    with pytest.raises(CalibrationError, match=r"valid is \(N, r, 3\)"):
         Measurements(q, np.zeros((4, 3)))
     with pytest.raises(CalibrationError, match="rotation has shape"):
         Measurements(q, np.zeros((4, 1, 3)), np.zeros((4, 3)))

@@ -21,7 +21,8 @@ from hybrid.exports.simulator.friction import _CURVES, _FALLS, _KNEES, _fit, cur
 from hybrid.identification import DynamicModel
 from hybrid.model.model_file import _real, _whole
 from hybrid.model.program import program_from_model
-from hybrid.online.layout import RowLayout
+from hybrid.online.columns import InstantColumns
+from hybrid.online.layout import MOVING, TORQUE, RowLayout
 from hybrid.recording.joints import _by_name
 from hybrid.regression.problem import build_problem
 from hybrid.robot.demand import _demand
@@ -169,17 +170,17 @@ def test_a_name_is_the_joint_that_it_alone_spells(names, joints, found):
 def test_each_torque_has_places_for_what_moves_it_and_for_the_load():
     robot = pendulum(2)
     problem = build_problem(robot.chain, [Viscous((1,))])
-    layout = RowLayout(problem, shapes=False)
-    drag = problem.size - 1
-    assert layout.place(0, drag) == -1 and layout.place(1, drag) >= 0
-    row = np.arange(len(layout.joints), dtype=float) + 1.0
-    found = layout.derivative(row)
-    assert found.shape == (2, problem.size) and found[0, drag] == 0.0
-    assert found[1, drag] == row[layout.place(1, drag)]
-    extra = np.concatenate([layout.payload.ravel(), layout.torque, layout.moving])
-    assert len(set(extra)) == len(extra) == 12
-    known = [layout.place(j, u) for j in (0, 1) for u in range(problem.size)]
-    assert not set(known) & set(extra)
+    layout = RowLayout(problem, tracked=False)
+    assert layout.gains == [[problem.size - 1]] and layout.shapes == [[]]
+    assert layout.size == problem.size and layout.shape == (2, problem.size + 6)
+    columns = np.arange(layout.shape[1])
+    extra = [*columns[layout.payload], columns[TORQUE], columns[MOVING]]
+    assert extra == [*range(problem.size, problem.size + 6)]
+    filled = InstantColumns(robot, problem, layout, 1)
+    states = np.zeros((1, 1)), np.zeros((1, 2)), np.ones((1, 2)), np.zeros((1, 2))
+    for _ in filled.fill(states, np.zeros(problem.size)):
+        pass
+    np.testing.assert_array_equal(filled.rows[0, :, problem.size - 1], [0.0, 1.0])
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def simple_design(seed: int = 0, **options):
     return design(robot, observation, Fourier(4, 0.1), seed=rng, **options)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_regressor_gradient_is_that_of_finite_differences(seed):
     robot = random_arm(seed)
     n = robot.size
@@ -132,11 +132,7 @@ def test_criteria_have_exact_gradients_through_regressor_and_friction(kind):
     motion = Grid(family, uniform(10.0, 10.0))
     expected = ExpectedError.of(robot, observation, [motion.path(0.7 * x)])
     observation = expected.observation if kind == 2 else observation
-    criterion = (
-        Condition(),
-        DOptimal(),
-        expected,
-    )[kind]
+    criterion = (Condition(), DOptimal(), expected)[kind]
     assert gradient_error(observation, criterion, motion, x, 6.0) < 1e-5
 
 
@@ -228,7 +224,7 @@ def test_a_jerk_limit_is_kept():
 
 
 def test_the_same_seed_gives_the_same_motion():
-    again = simple_design().trajectories[0].coefficients
+    again = pair().trajectories[0].coefficients  # however many motions follow
     assert np.array_equal(usual_design().trajectories[0].coefficients, again)
 
 
@@ -354,7 +350,7 @@ def test_a_walk_ends_at_rest_where_its_steps_lead_without_a_jump(steps):
         elif kind == "go":
             walk.go(goal, duration)
         elif kind == "cruise":
-            walk.cruise(1, 0.5, 0.25, duration)
+            walk.cruise(np.array([0.0, 0.5]), 0.25, duration)
             goal = here + [0.0, 0.5 * (duration + 0.25)]
         else:
             walk.move(goal, allowed())
@@ -372,7 +368,7 @@ def test_a_walk_ends_at_rest_where_its_steps_lead_without_a_jump(steps):
 def test_a_cruise_keeps_its_speed_between_two_ramps():
     walk = Walk(np.array([1.0, 2.0]))
     walk.wait(0.5)
-    walk.cruise(1, -0.8, 0.4, 1.0)
+    walk.cruise(np.array([0.0, -0.8]), 0.4, 1.0)
     found = walk.reference(100.0)
     assert found.t[-1] == pytest.approx(0.5 + 0.4 + 1.0 + 0.4)
     np.testing.assert_allclose(found.q[:, 0], 1.0)

@@ -251,23 +251,12 @@ def test_a_design_keeps_links_apart_and_above_the_floor():
     planar = Robot.load(MODELS / "planar.xml")
     limits = Limits.of(planar)
     clearance = Clearance.of(planar, limits, margin=0.05)
-    free = design(
-        planar,
-        observe(planar.chain),
-        Fourier(4, 0.2),
-        seed=np.random.default_rng(0),
-        criterion=Condition(),
-    )
+    asked = planar, observe(planar.chain), Fourier(3, 0.2)
+    options = {"criterion": Condition(), "starts": 2}
+    free = design(*asked, **options)
     height = 0.05 + lowest(planar, clearance, free)
     floor = Floor(planar, clearance.capsules, height)
-    kept = design(
-        planar,
-        observe(planar.chain),
-        Fourier(4, 0.2),
-        seed=np.random.default_rng(0),
-        criterion=Condition(),
-        constraints=(clearance, floor),
-    )
+    kept = design(*asked, **options, constraints=(clearance, floor))
     assert lowest(planar, clearance, kept) >= height
     q = kept.trajectories[0].path(uniform(5.0, 333.0)).q
     assert clearance.distance(q).min(initial=1.0) >= 0.0499

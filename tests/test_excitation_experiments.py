@@ -1,6 +1,7 @@
 """Ready-made experiments: each shows what it is for, within the limits."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,12 +23,14 @@ from hybrid.robot import Robot
 COMAN = Robot.load(MODELS / "coman_like.xml")
 
 
-def experiments(robot):
+@cache
+def experiments(arm):
+    robot = COMAN if arm == "coman" else public_arm(arm)
     rng = np.random.default_rng(0)
     limits = Limits.of(robot)
     middle = (limits.low + limits.high) / 2
     poses = middle + rng.uniform(-0.4, 0.4, (4, robot.size))
-    return {
+    return robot, {
         "ladder": speed_ladder(robot, 1, longest=1.0),
         "reversals": micro_reversals(robot, 2),
         "poses": static_poses(robot, poses),
@@ -35,11 +38,16 @@ def experiments(robot):
     }
 
 
+@cache
+def ladder():
+    return speed_ladder(COMAN, "elbow")
+
+
 @pytest.mark.parametrize("name", ["ladder", "reversals", "poses", "multisine"])
 @pytest.mark.parametrize("arm", ["coman", "ur10"])
 def test_experiments_are_smooth_at_rest_at_the_ends_and_within_limits(arm, name):
-    robot = COMAN if arm == "coman" else public_arm(arm)
-    reference = experiments(robot)[name]
+    robot, motions = experiments(arm)
+    reference = motions[name]
     step = reference.t[1]
     for x, dx in ((reference.q, reference.v), (reference.v, reference.a)):
         middle = (x[2:] - x[:-2]) / (2 * step)
@@ -51,7 +59,7 @@ def test_experiments_are_smooth_at_rest_at_the_ends_and_within_limits(arm, name)
 
 
 def test_a_ladder_moves_one_joint_at_each_speed_both_ways():
-    reference = speed_ladder(COMAN, "elbow")
+    reference = ladder()
     j = COMAN.joint_index("elbow")
     speeds = np.geomspace(0.01, 0.9, 8) * Limits.of(COMAN).speed[j]
     others = np.delete(reference.v, j, axis=1)
@@ -61,15 +69,6 @@ def test_a_ladder_moves_one_joint_at_each_speed_both_ways():
         for sign in (1, -1):
             at = steady & np.isclose(reference.v[:, j], sign * speed, rtol=1e-6)
             assert at.sum() > 100
-
-
-def test_reversals_grow_and_come_home():
-    reference = micro_reversals(COMAN, 1)
-    away = reference.q[:, 0] - reference.q[0, 0]
-    assert away[-1] == pytest.approx(0, abs=1e-12)
-    assert np.abs(away).max() == pytest.approx(0.02, rel=1e-3)
-    turns = (np.diff(np.sign(reference.v[:, 0])) != 0).sum()
-    assert turns >= 2 * 3 * 5
 
 
 def test_poses_are_held_still():
@@ -164,7 +163,7 @@ def test_reversals_turn_each_second_three_times_at_each_size_and_then_pause():
 
 
 def test_a_ladder_keeps_slow_speeds_for_four_seconds_and_pauses_beside_them():
-    reference = speed_ladder(COMAN, "elbow")
+    reference = ladder()
     j, step = COMAN.joint_index("elbow"), 1 / 500.0
     assert reference.t[1] == pytest.approx(step, rel=1e-3)
     limits = Limits.of(COMAN)
@@ -185,7 +184,7 @@ def test_a_ladder_keeps_slow_speeds_for_four_seconds_and_pauses_beside_them():
 
 
 def test_a_fast_ramp_takes_all_of_the_acceleration_and_the_room():
-    reference = speed_ladder(COMAN, "elbow")
+    reference = ladder()
     j, limits = COMAN.joint_index("elbow"), Limits.of(COMAN)
     fast = 0.9 * limits.speed[j]
     ramp = 1.5 * fast / limits.usable_acceleration[j]

@@ -160,11 +160,11 @@ def test_a_polynomial_of_fourth_order_is_known_at_any_stamps(seed, rate, group):
 
 
 @pytest.mark.parametrize("late", [0, -1])
-def test_a_window_that_lasts_too_long_is_not_whole(late):
+def test_a_window_that_lasts_too_long_or_half_as_long_is_not_whole(late):
     """Its bandwidth would be less than it has to be, wherever the gap is."""
     to = LocalPolynomial(1000.0, 50.0)
     t = np.arange(2 * to.margin + 1) / 1000.0
-    assert to.windows(t)[1].all()
+    assert to.windows(t)[1].all() and not to.windows(t / 2)[1].any()
     t[late] += np.sign(late + 0.5) * -0.3 * to.span
     assert not to.windows(t)[1].any()
 

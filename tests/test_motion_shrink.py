@@ -201,8 +201,7 @@ def test_the_step_is_one_with_which_nothing_diverges(monkeypatch, stable, chosen
 
 
 def test_short_stretches_are_replayed_for_a_tenth_of_a_second():
-    scored = explained(("coulomb",), ("coulomb",))
-    rate = scored.gap.rate
+    rate = explained((), ()).gap.rate
     usable = np.arange(round(10 * rate)) % round(5 * rate) < 0.4 * rate  # twice 0.4 s
     horizon, windows = windows_of([usable], rate)
     assert horizon == HORIZONS[1] == 0.1

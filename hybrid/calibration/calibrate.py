@@ -38,12 +38,9 @@ _GROUP = {
 class Setup:
     """The problem that :func:`calibrate` solves.
 
-    Attributes:
-        robot: Nominal arm.
-        geometry: Its axes as Denavit-Hartenberg rows.
-        model: Kinematics from the instrument to the measured points, aligned.
-        labels: Free parameters; of equivalent ones, the first is identified.
-        load: Torque of gravity on each joint, shape (N, n), [N·m].
+    The nominal arm has a geometry of Denavit-Hartenberg rows, and an aligned model from
+    the instrument to the measured points. Of equivalent ones among the free parameters,
+    the first is identified. The load is the torque of gravity, shape (N, n), [N·m].
     """
 
     robot: Robot
@@ -62,13 +59,7 @@ class Setup:
 
 @dataclass(frozen=True, repr=False)
 class Calibration(Shown):
-    """A calibrated arm.
-
-    Attributes:
-        setup: The problem.
-        solution: The estimates.
-        data: The measurements.
-    """
+    """A calibrated arm: the problem, the estimates and the measurements."""
 
     setup: Setup
     solution: KinematicSolution
@@ -84,10 +75,10 @@ class Calibration(Shown):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Corrections to the nominal arm, with standard deviations."""
-        values, std = self.solution.values(), self.solution.std.tolist()
+        units, std = self.setup.model.units, self.solution.std.tolist()
         return tuple(
-            Parameter(label, x, unit=self.setup.model.units[label], std=own)
-            for (label, x), own in zip(values.items(), std, strict=True)
+            Parameter(label, x, unit=units[label], std=own)
+            for (label, x), own in zip(self.solution.values().items(), std, strict=True)
         )
 
     @property
@@ -99,11 +90,9 @@ class Calibration(Shown):
             for label, joined in self.solution.reduced.dropped.items()
         ]
         if any(label.startswith("theta_") for label in self.setup.labels):
-            lines += [
-                f"d_{chain.joints[k]}: joins d_{chain.joints[k + 1]}, the axes are "
-                "parallel"
-                for k in np.flatnonzero(self.setup.geometry.parallel)
-            ]
+            for k in np.flatnonzero(self.setup.geometry.parallel):
+                joined = f"d_{chain.joints[k]}: joins d_{chain.joints[k + 1]}"
+                lines.append(f"{joined}, the axes are parallel")
         return tuple(lines)
 
     @property
@@ -203,11 +192,6 @@ def build_setup(
 ) -> Setup:
     """The problem that :func:`calibrate` solves, with initial estimates.
 
-    Args:
-        robot: Nominal arm.
-        data: Measurements in static poses.
-        free: Unknowns, of ``GROUPS``.
-
     Raises:
         CalibrationError: The data are not of this arm, or a group is unknown.
     """
@@ -218,21 +202,20 @@ def build_setup(
         flange, data, base="base" in free, tool="tool" in free
     )
     base: Steps = () if data.stations else (place, *free_frame("base"))
-    names = ["tool"]
-    if data.reflectors > 1:
-        names = [f"reflector_{j + 1}" for j in range(data.reflectors)]
-    tools: tuple[Steps, ...] = tuple(
-        (tool, *free_frame(name, turns=data.rotation is not None))
-        for name, tool in zip(names, frames, strict=True)
-    )
-    stations: tuple[Steps, ...] = tuple(
+    turns = data.rotation is not None
+    tools: list[Steps] = [
+        (tool, *free_frame(f"reflector_{j + 1}" if frames[1:] else "tool", turns=turns))
+        for j, tool in enumerate(frames)
+    ]
+    stations: list[Steps] = [
         (FixedStep(np.eye(3), x), *free_frame(f"station_{j + 1}", turns=False))
         for j, x in enumerate(places)
-    )
-    model = KinematicModel((*base, *geometry.steps), tools, stations)
+    ]
+    model = KinematicModel((*base, *geometry.steps), tuple(tools), tuple(stations))
+    rank = [*_GROUP].index
     labels = sorted(
         (x for x in model.units if _group(x) in free or x.startswith("station_")),
-        key=_rank,
+        key=lambda label: rank(label.split("_")[0]),
     )
     return Setup(robot, geometry, model, tuple(labels), _load(robot, data.q))
 
@@ -241,20 +224,12 @@ def observability_index(jacobian: Array, poses: int) -> float:
     """Index O₁: geometric mean of the singular values over the root of the poses.
 
     Borm and Menq 1991, doi 10.1177/027836499101000106. A larger index means a smaller
-    volume of the confidence region.
-
-    Args:
-        jacobian: Derivatives over noise, shape (rows, b).
-        poses: Number of poses N.
+    volume of the confidence region. Derivatives over noise have the shape (rows, b).
     """
     sizes = np.linalg.svd(jacobian, compute_uv=False)
     if sizes[-1] <= 0:
         return 0.0
     return float(np.exp(np.log(sizes).mean()) / np.sqrt(poses))
-
-
-def _rank(label: str) -> int:
-    return [*_GROUP].index(label.split("_")[0])
 
 
 def _group(label: str) -> str:

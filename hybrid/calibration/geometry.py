@@ -21,12 +21,9 @@ PARALLEL = 0.1  # sine of the angle below which two axes count as parallel
 
 @dataclass(frozen=True)
 class Geometry:
-    """An arm from its base frame to the frame of its last link.
+    """Steps up to and with each of n joints, and on to the frame of the last link.
 
-    Attributes:
-        rows: Steps up to each joint, including it, length n.
-        last: Step from the frame after the last row to the last link's frame.
-        parallel: Whether the axis of the next joint is parallel, for each joint.
+    ``parallel`` says for each joint whether the axis of the next one is parallel.
     """
 
     rows: tuple[tuple[FixedStep | Step, ...], ...]
@@ -65,10 +62,7 @@ def chain_from_values(
 ) -> Chain:
     """The arm with changed geometry: same joints and axes, other placements.
 
-    Args:
-        chain: The arm that ``geometry`` was made from.
-        geometry: Its rows.
-        values: Parameters by name; absent ones are zero.
+    Absent parameters are zero.
     """
     q = np.zeros((1, chain.size))
     old = new = start(q)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hybrid.arrays import Array, Index, Mask
 from hybrid.errors import CalibrationError
+
+_SHAPES = {"q": "N, n", "position": "N, r, 3", "rotation": "N, 3, 3",
+           "distance": "N, s"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -33,22 +36,13 @@ class Measurements:
     source: str = "measurements"
 
     def __post_init__(self) -> None:
-        size = len(self.q)
-        if self.q.ndim != 2 or self.position.shape[::2] != (size, 3):
-            raise CalibrationError(
-                f"{self.source}: q of shape {self.q.shape} and position of shape "
-                f"{self.position.shape}; valid are (N, n) and (N, r, 3)"
-            )
-        for name, shape in (("rotation", (size, 3, 3)), ("distance", (size, None))):
-            found = getattr(self, name)
-            if found is not None and (
-                found.ndim != len(shape)
-                or any(
-                    w not in (None, g) for g, w in zip(found.shape, shape, strict=True)
-                )
-            ):
+        sizes = {"N": len(self.q), "3": 3}
+        for name, letters in _SHAPES.items():
+            found, valid = np.shape(getattr(self, name)), letters.split(", ")
+            wanted = [sizes.get(w, x) for x, w in zip(found, valid, strict=False)]
+            if found and ([*found] != wanted or len(found) != len(valid)):  # () of None
                 raise CalibrationError(
-                    f"{self.source}: {name} has shape {found.shape}, valid is {shape}"
+                    f"{self.source}: {name} has shape {found}, valid is ({letters})"
                 )
         if self.rotation is not None and self.reflectors != 1:
             raise CalibrationError(
@@ -81,7 +75,7 @@ class Measurements:
         """Number of stations s of a distance meter."""
         return 0 if self.distance is None else self.distance.shape[1]
 
-    @cached_property
+    @property
     def kind(self) -> str:
         """Kind of the measurements: ``pose``, ``position`` or ``distance``."""
         if self.stations:
@@ -90,10 +84,6 @@ class Measurements:
 
     def at(self, rows: Index | Mask) -> Measurements:
         """Some of the poses."""
-        return Measurements(
-            self.q[rows],
-            self.position[rows],
-            None if self.rotation is None else self.rotation[rows],
-            None if self.distance is None else self.distance[rows],
-            self.source,
-        )
+        some: dict[str, Any] = {name: getattr(self, name) for name in _SHAPES}
+        some = {name: x if x is None else x[rows] for name, x in some.items()}
+        return replace(self, **some)

@@ -16,34 +16,21 @@ Steps = tuple[FixedStep | Step, ...]
 
 @dataclass(frozen=True)
 class Block:
-    """Residuals of one kind: U units (points, orientations) of c components each.
+    """Residuals of one kind: U units (points, orientations) of c components each."""
 
-    Attributes:
-        name: ``position``, ``orientation`` or ``distance``.
-        residual: Model − measurement, shape (U, c), [m or rad].
-        jacobian: Derivative of the residual, shape (U, c, p).
-        pose: Index of the pose of each unit, shape (U,).
-    """
-
-    name: str
-    residual: Array
-    jacobian: Array
-    pose: Index
+    name: str  # position, orientation or distance
+    residual: Array  # model − measurement, shape (U, c), [m or rad]
+    jacobian: Array  # derivative of the residual, shape (U, c, p)
+    pose: Index  # of each unit, shape (U,)
 
 
 @dataclass(frozen=True)
 class KinematicModel:
-    """Kinematics from the instrument along the arm to each measured point.
+    """Kinematics from the instrument along the arm to each measured point."""
 
-    Attributes:
-        steps: From the instrument's frame to the flange.
-        tools: From the flange to each of the r measured points.
-        stations: From the base to each of the s stations of a distance meter.
-    """
-
-    steps: Steps
-    tools: tuple[Steps, ...]
-    stations: tuple[Steps, ...] = ()
+    steps: Steps  # from the instrument's frame to the flange
+    tools: tuple[Steps, ...]  # from the flange to each of the r measured points
+    stations: tuple[Steps, ...] = ()  # from the base to each of a distance meter
 
     @cached_property
     def units(self) -> dict[str, str]:

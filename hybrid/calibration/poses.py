@@ -25,12 +25,11 @@ def random_poses(
     Raises:
         CalibrationError: A linear joint has no limits.
     """
-    low, high = robot.q_min.copy(), robot.q_max.copy()
-    free = ~(np.isfinite(low) & np.isfinite(high))
-    if (free & ~robot.chain.revolute).any():
-        joint = robot.joints[int(np.flatnonzero(free & ~robot.chain.revolute)[0])]
+    free = ~np.isfinite([robot.q_min, robot.q_max]).all(axis=0)
+    for j in np.flatnonzero(free & ~robot.chain.revolute):
+        joint = robot.joints[j]
         raise CalibrationError(f"{robot.name}: linear joint {joint!r} has no limits")
-    low[free], high[free] = -np.pi, np.pi
+    low, high = np.where(free, -np.pi, robot.q_min), np.where(free, np.pi, robot.q_max)
     return np.random.default_rng(seed).uniform(low, high, (count, robot.size))
 
 
@@ -51,7 +50,7 @@ def choose_poses(
         robot: Nominal arm.
         candidates: Poses to choose from, shape (C, n), [rad or m].
         count: Number of poses to choose.
-        kind: Kind of measurement: ``position`` of a point or ``pose`` of the tool.
+        kind: What is measured: ``position`` of a point or ``pose`` of the tool.
         free: Unknowns; see :func:`~hybrid.calibration.calibrate`.
 
     Returns:
@@ -97,7 +96,11 @@ def _jacobians(robot: Robot, q: Array, kind: str, free: tuple[str, ...]) -> Arra
     """Derivatives of the measurements over noise, shape (C, c, b)."""
     if kind not in ("position", "pose"):
         raise CalibrationError(f"no measurement {kind!r}; valid are position and pose")
-    data = _nominal(robot, q, kind)
+    flange = follow(start(q), geometry_from_chain(robot.chain).steps, q, {})
+    # A general point, since one on the last axis would not show its rotation.
+    point = flange.origin + flange.rotation @ np.array([0.05, 0.07, 0.1])
+    rotation = flange.rotation if kind == "pose" else None
+    data = Measurements(q, point[:, None], rotation)
     setup = build_setup(robot, data, free=free)
     zero = np.zeros(len(setup.labels))
     blocks = setup.model.blocks(data, setup.labels, zero, setup.load)
@@ -105,12 +108,3 @@ def _jacobians(robot: Robot, q: Array, kind: str, free: tuple[str, ...]) -> Arra
     units = tuple(setup.model.units[label] for label in setup.labels)
     reduced = base_parameters(J.reshape(-1, len(zero)), setup.labels, units)
     return J[..., list(reduced.kept)]
-
-
-def _nominal(robot: Robot, q: Array, kind: str) -> Measurements:
-    """Simulated measurements of a point near the flange of the nominal arm."""
-    flange = follow(start(q), geometry_from_chain(robot.chain).steps, q, {})
-    # A general point, since one on the last axis would not show its rotation.
-    point = flange.origin + flange.rotation @ np.array([0.05, 0.07, 0.1])
-    rotation = flange.rotation if kind == "pose" else None
-    return Measurements(q, point[:, None], rotation)

@@ -14,14 +14,8 @@ from hybrid.errors import CalibrationError, RecordingError
 from hybrid.recording.formats.csv import read_csv
 
 _UNIT = re.compile(r"\s*(?:[\[(]([^\])]*)[\])]|/\s*(m|mm|rad|deg))\s*$")
-_SCALE = {
-    "": 1.0,
-    "m": 1.0,
-    "mm": 1e-3,
-    "rad": 1.0,
-    "deg": np.pi / 180,
-    "°": np.pi / 180,
-}
+_DEGREE = np.pi / 180
+_SCALE = {"": 1.0, "m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": _DEGREE, "°": _DEGREE}
 _POINT = re.compile(r"([xyz])_?(\d*)")
 _DISTANCE = re.compile(r"distance_?(\d*)")
 _ORIENTATIONS: dict[tuple[str, ...], Callable[[Array], Rotation]] = {
@@ -52,32 +46,26 @@ def read_measurements(path: str | Path, joints: Sequence[str]) -> Measurements:
             number; the message names file, column and row.
     """
     columns = _columns(Path(path))
-    size = len(next(iter(columns.values())))
     q = np.column_stack([_joint(columns, k, joints, path) for k in range(len(joints))])
-    points = _numbered(columns, _POINT)
-    stations = _numbered(columns, _DISTANCE)
-    position = [np.full((size, 0, 3), np.nan)]
+    points, stations = _numbered(columns, _POINT), _numbered(columns, _DISTANCE)
+    seen = []
     for number in sorted({n for _, n in points}):
-        axes = [points.pop((axis, number), None) for axis in "xyz"]
-        if any(axis is None for axis in axes):
-            which = "xyz"[[axis is None for axis in axes].index(True)]
-            raise CalibrationError(
-                f"{path}: no column {which} of point {number}; a point has x, y and z"
-            )
-        position.append(np.stack([columns.pop(str(x)) for x in axes], 1)[:, None])
+        for axis in "xyz":
+            if (axis, number) not in points:
+                raise CalibrationError(
+                    f"{path}: no column {axis} of point {number}; a point has x, y "
+                    "and z"
+                )
+            seen.append(columns.pop(points[axis, number]))
+    position = np.reshape(seen, (-1, 3, len(q))).transpose(2, 0, 1)
     distance = [columns.pop(stations[key]) for key in sorted(stations)]
     rotation = _rotation(columns, path)
     if columns:
         raise CalibrationError(f"{path}: unknown column {', '.join(columns)}; {VALID}")
-    if len(position) == 1 and not distance:
+    if not (seen or distance):
         raise CalibrationError(f"{path}: no measured points or distances; {VALID}")
-    return Measurements(
-        q,
-        np.concatenate(position, axis=1),
-        rotation,
-        np.column_stack(distance) if distance else None,
-        str(path),
-    )
+    distances = np.column_stack(distance) if distance else None
+    return Measurements(q, position, rotation, distances, str(path))
 
 
 def _columns(path: Path) -> dict[str, Array]:
@@ -97,20 +85,19 @@ def _columns(path: Path) -> dict[str, Array]:
 
 
 def _name(label: str, path: Path) -> tuple[str, float]:
-    match = _UNIT.search(label)
-    unit = "".join(filter(None, match.groups())).strip() if match else ""
+    name, *units = _UNIT.split(label)
+    unit = "".join(filter(None, units)).strip()
     if unit not in _SCALE:
         raise CalibrationError(
             f"{path}: column {label!r} is in {unit}; valid are m, mm, rad and deg"
         )
-    return (label[: match.start()] if match else label).strip().lower(), _SCALE[unit]
+    return name.strip().lower(), _SCALE[unit]
 
 
 def _joint(
     columns: dict[str, Array], k: int, joints: Sequence[str], path: str | Path
 ) -> Array:
-    name = joints[k].lower()
-    for label in (f"q_{name}", f"q{k + 1}", f"q_{k + 1}"):
+    for label in (f"q_{joints[k].lower()}", f"q{k + 1}", f"q_{k + 1}"):
         if label in columns:
             return columns.pop(label)
     raise CalibrationError(

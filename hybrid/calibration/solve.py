@@ -39,33 +39,19 @@ class Rejected:
 
 @dataclass(frozen=True)
 class KinematicSolution:
-    """Estimates of the identifiable parameters.
+    """Estimates of the identifiable parameters."""
 
-    Attributes:
-        labels: Names, length b.
-        x: Estimates, shape (b,), [m, rad, ...].
-        covariance: Covariance of the estimates, shape (b, b), clustered by pose.
-        degrees: Degrees of freedom of each estimate's variance, shape (b,).
-        noise: Standard deviation of each kind of measurement, [m or rad].
-        reduced: The identifiable parameters, and relations of the others to them.
-        jacobian: Derivatives over noise at the estimate, shape (rows, b).
-        rejected: Outliers.
-        iterations: Number of linearisations in all rounds.
-        evaluations: Number of evaluations of the model in all rounds.
-        converged: Whether the last round met its tolerance.
-    """
-
-    labels: tuple[str, ...]
-    x: Array
-    covariance: Array
-    degrees: Array
-    noise: dict[str, float]
-    reduced: BaseParameters
-    jacobian: Array
+    labels: tuple[str, ...]  # length b
+    x: Array  # shape (b,), [m, rad, ...]
+    covariance: Array  # shape (b, b), clustered by pose
+    degrees: Array  # degrees of freedom of each estimate's variance, shape (b,)
+    noise: dict[str, float]  # standard deviation of each kind, [m or rad]
+    reduced: BaseParameters  # and how the other parameters relate to them
+    jacobian: Array  # derivatives over noise at the estimate, shape (rows, b)
     rejected: tuple[Rejected, ...]
-    iterations: int
-    evaluations: int
-    converged: bool
+    iterations: int  # linearisations in all rounds
+    evaluations: int  # of the model in all rounds
+    converged: bool  # whether the last round met its tolerance
 
     @property
     def std(self) -> Array:
@@ -91,16 +77,11 @@ def solve(
     load: Array | None = None,
     robust: bool = True,
 ) -> KinematicSolution:
-    """Estimate the parameters that these poses identify.
+    """Estimate those of the labelled parameters that these poses identify.
 
-    Args:
-        model: Kinematics from the instrument to the measured points.
-        data: The measurements.
-        labels: Free parameters; of equivalent ones, the first is estimated.
-        frames: Number of first labels that place instrument and tool. They are fitted
-            to the nominal arm first, because a tool on an axis would hide parameters.
-        load: Load of each joint, shape (N, n), [N·m].
-        robust: Whether outliers are rejected.
+    Of equivalent parameters, the first is estimated. The first ``frames`` labels place
+    instrument and tool. They are fitted to the nominal arm first, because a tool on an
+    axis would hide parameters. Joints have a ``load``, shape (N, n), [N·m].
 
     Raises:
         CalibrationError: There are not more measurements than parameters.
@@ -126,18 +107,9 @@ def solve(
     residual, jacobian, pose = fit.weighted(x)
     covariance, degrees = clustered_covariance(jacobian, residual, pose)
     return KinematicSolution(
-        labels=fit.labels,
-        x=x,
-        covariance=covariance,
-        degrees=degrees,
-        noise=fit.noise,
-        reduced=reduced,
-        jacobian=jacobian,
-        rejected=tuple(fit.rejected),
-        iterations=fit.iterations,
-        evaluations=fit.evaluations,
-        converged=fit.converged,
-    )
+        fit.labels, x, covariance, degrees, fit.noise, reduced, jacobian,
+        tuple(fit.rejected), fit.iterations, fit.evaluations, fit.converged,
+    )  # fmt: skip
 
 
 def _change(before: Mapping[str, float], after: Mapping[str, float]) -> float:

@@ -17,12 +17,7 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class FixedStep:
-    """A constant factor.
-
-    Attributes:
-        rotation: Shape (3, 3).
-        translation: Shape (3,), [m].
-    """
+    """A constant factor: rotation (3, 3) and translation (3,), [m]."""
 
     rotation: Array
     translation: Array
@@ -35,22 +30,14 @@ class Step:
     Its size is ``nominal`` + parameter · (load of joint ``load``) + q of joint
     ``joint``. Without ``load`` the parameter is not multiplied, without ``joint``
     nothing is added.
-
-    Attributes:
-        axis: 0, 1 or 2 for x, y or z.
-        turns: True for a rotation, False for a shift.
-        nominal: Constant part, [rad or m].
-        parameter: Name of the unknown part; empty without one.
-        joint: Index of the joint whose position is added.
-        load: Index of the joint whose load multiplies the parameter.
     """
 
-    axis: int
-    turns: bool
-    nominal: float = 0.0
-    parameter: str = ""
-    joint: int | None = None
-    load: int | None = None
+    axis: int  # 0, 1 or 2 for x, y or z
+    turns: bool  # False for a shift
+    nominal: float = 0.0  # constant part, [rad or m]
+    parameter: str = ""  # name of the unknown part; empty without one
+    joint: int | None = None  # index of the joint whose position is added
+    load: int | None = None  # index of the joint whose load multiplies the parameter
 
     @property
     def unit(self) -> str:
@@ -62,17 +49,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Frame:
-    """The frame after a product of factors, for N samples.
+    """The frame after a product of factors, for N samples."""
 
-    Attributes:
-        rotation: Shape (N, 3, 3).
-        origin: Shape (N, 3), [m].
-        twists: Derivative by each parameter of the factors, by name: velocity of the
-            point at the first frame's origin, then rotation, shape (N, 6).
-    """
-
-    rotation: Array
-    origin: Array
+    rotation: Array  # shape (N, 3, 3)
+    origin: Array  # shape (N, 3), [m]
+    # Derivative by each parameter of the factors, by name: velocity of the point at the
+    # first frame's origin, then rotation, shape (N, 6).
     twists: Mapping[str, Array] = field(default_factory=dict)
 
 
@@ -128,9 +110,7 @@ def _turned(R: Array, axis: int, angle: Array) -> Array:
 
 def free_frame(prefix: str, *, turns: bool = True) -> tuple[Step, ...]:
     """Three unknown shifts, then three unknown rotations: ``base_x`` to ``base_rz``."""
-    shifts = tuple(Step(k, False, parameter=f"{prefix}_{'xyz'[k]}") for k in range(3))
-    if not turns:
-        return shifts
-    return shifts + tuple(
-        Step(k, True, parameter=f"{prefix}_r{'xyz'[k]}") for k in range(3)
+    names = ("x", "y", "z", "rx", "ry", "rz")[: 6 if turns else 3]
+    return tuple(
+        Step(k % 3, k > 2, parameter=f"{prefix}_{name}") for k, name in enumerate(names)
     )

@@ -15,12 +15,10 @@ from hybrid.robot import Robot
 
 @dataclass(frozen=True)
 class Errors:
-    """Distance of model and measurement on held-out poses, by kind of measurement.
+    """Distances of model and measurement on held-out poses, (units,), [m or rad].
 
-    Attributes:
-        nominal: Errors of the nominal arm with fitted frames, shape (units,), [m or
-            rad].
-        calibrated: Errors of the calibrated arm, shape (units,), [m or rad].
+    They are those of the nominal arm with fitted frames and of the calibrated arm, by
+    kind of measurement.
     """
 
     nominal: dict[str, Array]
@@ -37,12 +35,7 @@ def cross_validate(
 ) -> Errors:
     """Leave out every ``folds``-th pose in turn, and predict it from the others.
 
-    Args:
-        robot: Nominal arm.
-        data: Measurements in static poses.
-        free: Unknowns; see :func:`~hybrid.calibration.calibrate`.
-        robust: Whether outliers are left out of the fits. The errors include them.
-        folds: Number of folds.
+    See :func:`~hybrid.calibration.calibrate`; errors include those of outliers.
 
     Raises:
         CalibrationError: There are too few poses.

@@ -26,17 +26,12 @@ _JOINED = 0.95  # share of postures in contact above which a pair is joined by d
 
 @dataclass(frozen=True, eq=False)
 class Clearance(Constraint):
-    """A least distance between links that are not neighbours.
+    """A least distance, ``margin`` [m], between links that are not neighbours.
 
     Capsules cover the geometry of the links, so their distance is a lower bound. Each
-    pair of capsules is one condition: the distance of two links is not smooth where
-    other capsules become the closest ones, which would stop the solver.
-
-    Attributes:
-        robot: The arm.
-        capsules: Capsules that cover its links and its base.
-        pairs: Capsules to keep apart, shape (K, 2).
-        margin: Least distance, [m].
+    of the ``pairs`` of capsules, shape (K, 2), is one condition: the distance of two
+    links is not smooth where other capsules become the closest ones, which would stop
+    the solver.
     """
 
     robot: Robot
@@ -48,13 +43,8 @@ class Clearance(Constraint):
     def of(cls, robot: Robot, limits: Limits, *, margin: float = 0.01) -> Clearance:
         """Keep apart all links that are not neighbours and do not always touch.
 
-        Args:
-            robot: The arm; its file has to hold collision geometry.
-            limits: Limits of the joints.
-            margin: Least distance, [m].
-
         Raises:
-            RobotError: There is no geometry.
+            RobotError: The robot's file has no collision geometry.
 
         Warns:
             HybridWarning: A moving link has no geometry, or a pair is left out because
@@ -118,20 +108,12 @@ class Clearance(Constraint):
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
         change = point_change(chain, q, capsules.link[first], x, away)
         change -= point_change(chain, q, capsules.link[second], y, away)
-        out = np.zeros((len(which), 4, self.robot.size))
-        out[:, 0] = -change / _LENGTH
-        return out
+        return _by_position(-change / _LENGTH)
 
 
 @dataclass(frozen=True, eq=False)
 class Floor(Constraint):
-    """A height in the base frame that every moving link stays above.
-
-    Attributes:
-        robot: The arm.
-        capsules: Capsules that cover its links.
-        height: The height, [m].
-    """
+    """A height in the base frame, [m], that every moving link stays above."""
 
     robot: Robot
     capsules: Capsules
@@ -159,47 +141,43 @@ class Floor(Constraint):
     def slope(self, path: Path, which: Index) -> Array:
         """See :class:`~hybrid.excitation.constraints.Constraint`."""
         capsule, end = (x[which] for x in self._ends)
-        chain, at = self.robot.chain, np.arange(len(which))
-        point = ends_in_world(chain, self.capsules, path.q)[at, capsule, end]
-        down = np.tile([0.0, 0.0, -1.0], (len(which), 1))
-        link, out = self.capsules.link[capsule], np.zeros((len(which), 4, chain.size))
-        out[:, 0] = point_change(chain, path.q, link, point, down) / _LENGTH
-        return out
+        chain, rows = self.robot.chain, np.arange(len(which))
+        point = ends_in_world(chain, self.capsules, path.q)[rows, capsule, end]
+        down, link = np.array([0.0, 0.0, -1.0]), self.capsules.link[capsule]
+        return _by_position(point_change(chain, path.q, link, point, down) / _LENGTH)
 
 
 def ends_in_world(chain: Chain, capsules: Capsules, q: Array) -> Array:
     """End points of all capsules in the base frame, shape (N, C, 2, 3), [m]."""
     R, p, _ = frames(chain, q)
-    out = np.empty((len(q), len(capsules.link), 2, 3))
-    for link in np.unique(capsules.link):
+    out = np.tile(capsules.ends, (len(q), 1, 1, 1))  # as those of the base stay
+    for link in range(chain.size):
         own = capsules.link == link
         ends = capsules.ends[own]
-        if link < 0:
-            out[:, own] = ends
-        else:
-            turned = np.matmul(ends.reshape(-1, 3), R[link].transpose(0, 2, 1))
-            moved = turned + p[link][:, None]
-            out[:, own] = moved.reshape(len(q), *ends.shape)
+        turned = np.matmul(ends.reshape(-1, 3), R[link].transpose(0, 2, 1))
+        moved = turned + p[link][:, None]
+        out[:, own] = moved.reshape(len(q), *ends.shape)
     return out
 
 
 def point_change(
-    chain: Chain, q: Array, link: Index | int, point: Array, direction: Array
+    chain: Chain, q: Array, link: Index, point: Array, direction: Array
 ) -> Array:
     """Derivative by the joint positions of points along a direction, shape (N, n).
 
-    The points, of one link or of one each (−1 for the base), and their directions have
-    the shape (N, 3), in the base frame.
+    Each point, shape (N, 3) in the base frame, belongs to a link (−1 for the base).
     """
     out = np.zeros_like(q)
     _, origin, axis = frames(chain, q)
-    for j in range(chain.size):
-        if chain.revolute[j]:
-            moved = np.cross(axis[j], point - origin[j])
-        else:
-            moved = axis[j]
-        out[:, j] = (moved * direction).sum(axis=1) * (j <= np.asarray(link))
+    for j, turns in enumerate(chain.revolute):
+        moved = np.cross(axis[j], point - origin[j]) if turns else axis[j]
+        out[:, j] = (moved * direction).sum(axis=1) * (j <= link)
     return out
+
+
+def _by_position(slope: Array) -> Array:
+    """A slope (M, n) by position as one by all derivatives, shape (M, 4, n)."""
+    return np.stack([slope, *np.zeros((3, *slope.shape))], axis=1)
 
 
 def closest_points(first: Array, second: Array) -> tuple[Array, Array]:

@@ -119,12 +119,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits(Constraint):
-    """Position, speed, acceleration and jerk of every joint.
-
-    Attributes:
-        limits: The limits.
-        joints: Joint names, for messages.
-    """
+    """Position, speed, acceleration and jerk of every joint."""
 
     is_linear: ClassVar[bool] = True
 
@@ -134,15 +129,11 @@ class MotionLimits(Constraint):
     @cached_property
     def _rows(self) -> tuple[Array, ...]:
         """Derivative, joint, sign, size and middle of each condition, shape (K,)."""
-        middle = self.limits.middle
-        rows = [
-            (k, j, sign, size, middle[j] if k == 0 else 0.0)
-            for k, sizes in enumerate(self.limits.sizes)
-            for j, size in enumerate(sizes)
-            for sign in (-1.0, 1.0)
-            if np.isfinite(size)
-        ]
-        return tuple(np.array(column) for column in zip(*rows, strict=True))
+        limited = np.argwhere(np.isfinite(self.limits.sizes))
+        derivative, joint = np.repeat(limited, 2, axis=0).T
+        middle = np.where(derivative == 0, self.limits.middle[joint], 0.0)
+        sign, size = np.tile([-1.0, 1.0], len(limited)), self.limits.sizes
+        return derivative, joint, sign, size[derivative, joint], middle
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -173,9 +164,7 @@ class MotionLimits(Constraint):
 class TorqueLimits(Constraint):
     """Torque of the nominal arm: rigid body, rotors and friction of its file.
 
-    Attributes:
-        robot: The arm.
-        limit: Highest torque, shape (n,), [N·m].
+    The highest torque ``limit`` has the shape (n,), [N·m].
     """
 
     robot: Robot

@@ -14,12 +14,7 @@ from hybrid.arguments import typed
 from hybrid.arrays import Array
 from hybrid.errors import ExcitationError
 from hybrid.excitation.constraints import Constraint, Limits, MotionLimits, TorqueLimits
-from hybrid.excitation.criteria import (
-    Condition,
-    Criterion,
-    DOptimal,
-    gram_condition,
-)
+from hybrid.excitation.criteria import Condition, Criterion, DOptimal, gram_condition
 from hybrid.excitation.expected_error import ExpectedError
 from hybrid.excitation.families import Fourier
 from hybrid.excitation.observation import (
@@ -124,15 +119,12 @@ class Design(Shown):
         rate: float = 200.0,
         more: Mapping[str, Any] | None = None,
     ) -> list[pathlib.Path]:
-        """Write the motions as CSV files, and ``design.json``.
+        """Write the motions as CSV files, and ``design.json``; return the former.
 
         Args:
             folder: Folder of the files.
             rate: Samples of the motions per second, [Hz].
             more: JSON-ready content to add to ``design.json``.
-
-        Returns:
-            The files of the motions.
         """
         folder = pathlib.Path(folder)
         paths = reference_paths(folder, len(self.trajectories))
@@ -255,10 +247,9 @@ def _one_by_one(
     repetition of the previous one, that is repeated.
     """
     found: list[Trajectory] = []
-    last = program.known
+    last, value = program.known, program.criterion.value
     worst: dict[str, float] = {}
     excess: dict[str, float] = {}
-    value = program.criterion.value
     for child in rng.spawn(count):
         points = [program.random(child) for _ in range(starts)]
         if found:
@@ -292,32 +283,25 @@ def best_point(
     power, iterations = _EXPLORE
     smooth = replace(program, power=power)
     optima = [solve(smooth, x, iterations=iterations) for x in points]
-    solution = min(
-        optima, key=lambda x: (x.excess > 0.01, x.value + PENALTY * x.excess)
-    )
+    best = min(optima, key=lambda x: (x.excess > 0.01, x.value + PENALTY * x.excess))
     for power, iterations in _POLISH:
         sharp = replace(program, power=power)
-        solution = solve(
-            sharp, solution.x, iterations=iterations, curvature=solution.curvature
-        )
+        best = solve(sharp, best.x, iterations=iterations, curvature=best.curvature)
     margin, penalty = program.margin, PENALTY
     for _ in range(_REPAIRS):
-        excess = program.verified(solution.x)
+        excess = program.verified(best.x)
         worst = max(excess.values())
         if worst <= 0:
-            return solution.x, excess
-        if solution.excess > _ROUNDING:
+            return best.x, excess
+        if best.excess > _ROUNDING:
             penalty *= 10.0
         # Between the samples of the design grid a torque may be a little higher, or a
         # distance smaller.
         margin += 1.2 * worst
-        solution = solve(
-            replace(sharp, margin=margin),
-            solution.x,
-            iterations=_REPAIR_ITERATIONS,
-            curvature=solution.curvature,
-            penalty=penalty,
-        )
+        best = solve(
+            replace(sharp, margin=margin), best.x, iterations=_REPAIR_ITERATIONS,
+            curvature=best.curvature, penalty=penalty,
+        )  # fmt: skip
     raise ExcitationError(_infeasible(excess))
 
 

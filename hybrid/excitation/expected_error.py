@@ -44,18 +44,11 @@ _WEAK_PRIOR = 1e-9  # prior precision of a gain of X, which keeps the inverse fi
 
 @dataclass(frozen=True, eq=False)
 class ExpectedError(Criterion):
-    """Expected RMS torque error on future motions [N·m], geometric mean over joints.
+    """Expected RMS torque error on future motions [N·m], geometric mean over joints."""
 
-    Attributes:
-        observation: Columns X of the fit, then columns Z of the structure.
-        fitted: Number of columns X.
-        moments: Second moment M of the columns over future motions, for each joint,
-            shape (n, b, b), [(N·m)²].
-    """
-
-    observation: Observation
-    fitted: int
-    moments: Array
+    observation: Observation  # columns X of the fit, then columns Z of the structure
+    fitted: int  # number of columns X
+    moments: Array  # M of each joint over future motions, shape (n, b, b), [(N·m)²]
 
     @classmethod
     def of(
@@ -111,8 +104,7 @@ class ExpectedError(Criterion):
 def typical_structure(robot: Robot) -> tuple[list[JointEffect], Array]:
     """Effects that joints may have besides inertia, dry and viscous friction.
 
-    Returns:
-        The effects, and the usual size of each of their gains.
+    The array has the usual size of each of their gains.
     """
     scales = joint_scales(robot)
     effects: list[JointEffect] = []

@@ -7,7 +7,6 @@ robot file's limits; an :class:`.ExcitationError` names a limit that prevents a 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -30,12 +29,9 @@ _QUINTIC_SPEED, _QUINTIC_ACCELERATION = 1.875, 5.7735  # peaks of a unit move
 def at_speeds(
     robot: Robot, reference: Reference, factors: Sequence[float] = (0.5, 1.0, 2.0)
 ) -> list[Reference]:
-    """The same path at several speeds, each at the rate of the reference.
+    """The same path at multiples of its speed, each at the rate of the reference.
 
-    Args:
-        robot: The arm; the limits of its file are kept.
-        reference: The path.
-        factors: Multiples of its speed, above 0.
+    The limits of the robot's file are kept.
     """
     found, curve = [], quintic(reference.t, reference.q, reference.v, reference.a)
     for factor in factors:
@@ -67,22 +63,20 @@ def speed_ladder(
     limits, home = _settings(robot, posture)
     j = robot.joint_index(joint)
     room = 2 * min(home[j] - limits.low[j], limits.high[j] - home[j])
-    walk = Walk(home)
+    walk, along = Walk(home), np.eye(robot.size)[j]
     for speed in (_LADDER * limits.speed[j]).tolist():
         hardest = _RAMP_ACCELERATION * speed / limits.usable_acceleration[j]
         ramp = max(hardest, 0.1)
-        stroke = min(0.98 * room, speed * (ramp + longest))
-        if stroke < 1.2 * speed * ramp:
+        stroke, least = min(0.98 * room, speed * (ramp + longest)), 1.2 * speed * ramp
+        if stroke < least:
             raise ExcitationError(
                 f"{robot.joints[j]} has {room:.3g} rad of room about the posture, and "
-                f"{1.2 * speed * ramp:.3g} rad are needed to reach {speed:g} rad/s"
+                f"{least:.3g} rad are needed to reach {speed:g} rad/s"
             )
         for sign in (1.0, -1.0):
-            start = home.copy()
-            start[j] -= sign * stroke / 2
-            walk.move(start, limits)
+            walk.move(home - sign * stroke / 2 * along, limits)
             walk.wait(_PAUSE)
-            walk.cruise(j, sign * speed, ramp, stroke / speed - ramp)
+            walk.cruise(sign * speed * along, ramp, stroke / speed - ramp)
             walk.wait(_PAUSE)
     walk.move(home, limits)
     return checked(robot, walk.reference(rate), limits)
@@ -104,12 +98,10 @@ def micro_reversals(
         rate: Samples per second, [Hz].
     """
     limits, home = _settings(robot, posture)
-    j, walk = robot.joint_index(joint), Walk(home)
+    along, walk = np.eye(robot.size)[robot.joint_index(joint)], Walk(home)
     for amplitude in _AMPLITUDES:
         for sign in (*(1.0, -1.0) * _REPEATS, 0.0):
-            goal = home.copy()
-            goal[j] += sign * amplitude
-            walk.go(goal, _PERIOD / 2)
+            walk.go(home + sign * amplitude * along, _PERIOD / 2)
         walk.wait(_PAUSE)
     return checked(robot, walk.reference(rate), limits)
 
@@ -201,12 +193,8 @@ def checked(robot: Robot, reference: Reference, limits: Limits) -> Reference:
     Raises:
         ExcitationError: It exceeds a limit; the message names limit and joint.
     """
-    limits = replace(limits, jerk=np.full(robot.size, np.inf))
-    path = path_from_reference(reference)
-    for constraint in (
-        MotionLimits(limits, robot.joints),
-        TorqueLimits(robot, limits.torque),
-    ):
+    path, torque = path_from_reference(reference), TorqueLimits(robot, limits.torque)
+    for constraint in (MotionLimits(limits, robot.joints), torque):
         worst = constraint.excess(path).max(axis=0, initial=-1.0)
         if (worst > 1e-9).any():
             k = int(worst.argmax())
@@ -235,11 +223,7 @@ def _settings(robot: Robot, posture: Array | None) -> tuple[Limits, Array]:
 
 
 class Walk:
-    """A sequence of knots from a pose at rest, joined by quintic polynomials.
-
-    Args:
-        home: The first pose, shape (n,), [rad].
-    """
+    """A sequence of knots from a pose (n,) at rest, joined by quintic polynomials."""
 
     def __init__(self, home: Array) -> None:
         self._t, self._q = [0.0], [np.array(home, dtype=float)]
@@ -254,7 +238,7 @@ class Walk:
 
     def wait(self, duration: float) -> None:
         """Stand still for a time, [s]."""
-        self._add(duration, self._q[-1], np.zeros_like(self._q[-1]))
+        self.go(self._q[-1], duration)
 
     def go(self, goal: Array, duration: float) -> None:
         """Move to a pose and stop, in a given time, [s]."""
@@ -271,18 +255,11 @@ class Walk:
         )
         self.go(goal, float(max(by_speed.max(), by_acceleration.max(), 0.1)))
 
-    def cruise(self, joint: int, speed: float, ramp: float, duration: float) -> None:
-        """Accelerate one joint, keep its speed, and stop."""
-        for time, way, v in (
-            (ramp, 0.5 * ramp, 1.0),
-            (duration, duration, 1.0),
-            (ramp, 0.5 * ramp, 0.0),
-        ):
-            q = self._q[-1].copy()
-            rest = np.zeros_like(q)
-            q[joint] += way * speed
-            rest[joint] = v * speed
-            self._add(time, q, rest)
+    def cruise(self, velocity: Array, ramp: float, duration: float) -> None:
+        """Accelerate to a velocity, shape (n,), keep it, and stop."""
+        self._add(ramp, self._q[-1] + 0.5 * ramp * velocity, velocity)
+        self._add(duration, self._q[-1] + duration * velocity, velocity)
+        self.go(self._q[-1] + 0.5 * ramp * velocity, ramp)
 
     def _add(self, duration: float, q: Array, v: Array) -> None:
         self._t.append(self._t[-1] + duration)

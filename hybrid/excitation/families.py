@@ -36,17 +36,15 @@ class Fourier:
     periods: int = 1
 
     def __post_init__(self) -> None:
-        order, fundamental, least = self.order, self.fundamental, self.least
-        if order < least:
-            raise ExcitationError(
-                f"order is {order}, {least} or more harmonics are valid"
-            )
-        if not (np.isfinite(fundamental) and fundamental > 0):
-            raise ExcitationError(
-                f"fundamental is {fundamental:g} Hz, above 0 is valid"
-            )
-        if self.periods < 1:
-            raise ExcitationError(f"periods is {self.periods}, 1 or more is valid")
+        if self.order < self.least:
+            fault = f"order is {self.order}, {self.least} or more harmonics are valid"
+        elif not (np.isfinite(self.fundamental) and self.fundamental > 0):
+            fault = f"fundamental is {self.fundamental:g} Hz, above 0 is valid"
+        elif self.periods < 1:
+            fault = f"periods is {self.periods}, 1 or more is valid"
+        else:
+            return
+        raise ExcitationError(fault)
 
     @property
     def duration(self) -> float:
@@ -99,13 +97,9 @@ class Spline:
 
     @cached_property
     def _spline(self) -> BSpline:
-        control = np.eye(self.size)
-        control = np.vstack([control[:1], control[:1], control, *[control[-1:]] * 2])
+        control = np.pad(np.eye(self.size), ((2, 2), (0, 0)), mode="edge")
         inner = np.linspace(0.0, self.duration, len(control) - _DEGREE + 1)
-        knots = np.concatenate(
-            [np.zeros(_DEGREE), inner, np.full(_DEGREE, self.duration)]
-        )
-        return BSpline(knots, control, _DEGREE)
+        return BSpline(np.pad(inner, _DEGREE, mode="edge"), control, _DEGREE)
 
     def basis(self, t: Array, derivative: int) -> Array:
         """See :class:`~hybrid.excitation.path.Family`."""

@@ -17,11 +17,11 @@ from hybrid.arrays import Array, Index
 from hybrid.dynamics import (
     BaseParameters,
     effect_gains,
+    inverse_dynamics,
     regressor,
     regressor_gradient,
     stacked_base,
 )
-from hybrid.dynamics.regressor import inverse_dynamics
 from hybrid.effects import Effect, JointEffect, JointState, effects_from_text
 from hybrid.errors import ExcitationError
 from hybrid.excitation.path import Path
@@ -45,21 +45,13 @@ class Observation:
 
     A row is the torque of one joint at one time per unit of every unknown. Rows are
     whitened by the noise, W = Ω^(−1/2) Y, and columns are scaled.
-
-    Attributes:
-        chain: The arm.
-        effects: Effects whose gains are unknown; dry friction, viscous friction, ...
-        base: Base parameters of all inertial parameters and gains.
-        whitening: Lower triangular L⁻¹ of the noise covariance L Lᵀ, shape (n, n),
-            [1/(N·m)].
-        scale: Unit in which each unknown is counted, shape (b,).
     """
 
     chain: Chain
-    effects: tuple[JointEffect, ...]
-    base: BaseParameters
-    whitening: Array
-    scale: Array
+    effects: tuple[JointEffect, ...]  # whose gains are unknown
+    base: BaseParameters  # of all inertial parameters and gains
+    whitening: Array  # L⁻¹ of the noise covariance L Lᵀ, shape (n, n), [1/(N·m)]
+    scale: Array  # unit in which each unknown is counted, shape (b,)
 
     @property
     def size(self) -> int:
@@ -76,13 +68,10 @@ class Observation:
 
         Dry friction is smoothed within a speed, [rad/s]; 0 is a step.
         """
-        rigid, gains = self._kept
-        Y = np.empty((len(path.t), self.chain.size, self.size))
-        full = regressor(self.chain, path.q, path.v, path.a)
-        Y[:, :, : len(rigid)] = full[:, :, rigid]
-        if len(gains):
-            Y[:, :, len(rigid) :] = self._effects(path, turning_speed)[:, :, gains]
-        return np.asarray(self.whitening @ Y * self.scale)
+        Y = regressor(self.chain, path.q, path.v, path.a)
+        if self.gains:
+            Y = np.concatenate([Y, self._effects(path, turning_speed)], axis=2)
+        return np.asarray(self.whitening @ Y.take(self.base.kept, axis=2) * self.scale)
 
     def gram(self, path: Path, *, turning_speed: float = TURNING_SPEED) -> Array:
         """Information of a motion, Wᵀ W, shape (b, b)."""
@@ -91,18 +80,14 @@ class Observation:
 
     def gradient(self, path: Path, weight: Array) -> tuple[Array, Array, Array]:
         """Derivatives of ``sum(weight * matrix(path))`` by q, v and a, (N, n) each."""
-        rigid, gains = self._kept
-        seed = self.whitening.T @ weight * self.scale
-        n = self.chain.size
-        full = np.zeros((len(path.t), n, 10 * n))
-        full[:, :, rigid] = seed[:, :, : len(rigid)]
-        own = np.zeros((3, *path.q.shape))
-        if len(gains):
-            effects = np.zeros((len(path.t), n, len(self.gains)))
-            effects[:, :, gains] = seed[:, :, len(rigid) :]
-            own, load = self._effects_gradient(path, effects)
-            full += load[:, :, None] * self.chain.inertial.ravel()
-        by = regressor_gradient(self.chain, path.q, path.v, path.a, full)
+        links = 10 * self.chain.size
+        every = np.zeros((*path.q.shape, links + len(self.gains)))
+        every[:, :, list(self.base.kept)] = self.whitening.T @ weight * self.scale
+        seed, own = every[:, :, :links], np.zeros((3, *path.q.shape))
+        if self.gains:
+            own, load = self._effects_gradient(path, every[:, :, links:])
+            seed += load[:, :, None] * self.chain.inertial.ravel()
+        by = regressor_gradient(self.chain, path.q, path.v, path.a, seed)
         return by[0] + own[0], by[1] + own[1], by[2] + own[2]
 
     def with_structure(
@@ -122,29 +107,18 @@ class Observation:
         )
 
     @cached_property
-    def _kept(self) -> tuple[list[int], list[int]]:
-        """Indices of the kept inertial columns, and of the kept gains."""
-        n = 10 * self.chain.size
-        kept = self.base.kept
-        return [k for k in kept if k < n], [k - n for k in kept if k >= n]
-
-    @cached_property
     def _laws(self) -> list[_Law]:
         """The laws of the effects, each for all of its joints."""
         ends = np.cumsum([len(e.gains) for e in self.effects])
-        kinds: dict[type[JointEffect], list[int]] = {}
-        for k, effect in enumerate(self.effects):
-            kinds.setdefault(type(effect), []).append(k)
-        return [
-            _Law([self.effects[k] for k in own], ends[own])
-            for own in kinds.values()
-        ]  # fmt: skip
+        kinds = dict.fromkeys(map(type, self.effects))
+        each = ([k for k, e in enumerate(self.effects) if type(e) is x] for x in kinds)
+        return [_Law([self.effects[k] for k in own], ends[own]) for own in each]
 
     def _signals(self, path: Path) -> Array:
         """Position, speed, acceleration and load of the joints, shape (4, N, n)."""
-        chain = self.chain
-        load = inverse_dynamics(chain, chain.inertial, path.q, path.v, path.a)
-        return np.stack([path.q, path.v, path.a, load])
+        motion = path.q, path.v, path.a
+        load = inverse_dynamics(self.chain, self.chain.inertial, *motion)
+        return np.stack([*motion, load])
 
     def _effects(self, path: Path, turning_speed: float) -> Array:
         """Columns of the effects, not whitened, shape (N, n, gains)."""
@@ -173,12 +147,7 @@ class Observation:
 
 
 class _Law:
-    """One law of a joint's state, at k joints.
-
-    Attributes:
-        joints: The joints, shape (k,).
-        columns: Columns of the gains at each of them, shape (k, p).
-    """
+    """One law of a joint's state, at k ``joints``, with ``columns`` of gains (k, p)."""
 
     def __init__(self, effects: Sequence[JointEffect], ends: Index) -> None:
         first = effects[0]
@@ -190,12 +159,7 @@ class _Law:
         self.columns = ends[:, None] + np.arange(-len(first.gains), 0)
 
     def torque(self, signals: Array, turning_speed: float) -> Array:
-        """Torque per unit of each gain, shape (..., N, k, p).
-
-        Args:
-            signals: Position, speed, acceleration and load, shape (4, ..., N, k).
-            turning_speed: Speed within which dry friction is smoothed, [rad/s].
-        """
+        """Torque per unit of each gain, (..., N, k, p), of signals (4, ..., N, k)."""
         q, v, a, load = signals
         sign = np.tanh(v / turning_speed) if turning_speed > 0 else np.sign(v)
         t = np.broadcast_to(np.arange(float(q.shape[-2]))[:, None], q.shape)
@@ -246,20 +210,20 @@ def usual_observation(robot: Robot) -> Observation:
     return observe(robot.chain, effects, covariance=noise)
 
 
-def rigid_columns(chain: Chain, H: Array) -> dict[str, tuple[int, ...]]:
+def rigid_columns(chain: Chain, H: Array) -> dict[str, list[int]]:
     """Choices of base columns among the 10n of the regressor, by name.
 
     ``first independent columns`` goes from base to tip and keeps each column that does
     not depend on those before, the same for every motion. ``columns by pivoted QR``
     always takes the largest remaining one of the observation matrix H, (rows, 10n).
     """
-    kept = stacked_base(chain, (), ()).kept
+    kept = [*stacked_base(chain, (), ()).kept]
     _, order = qr(H, mode="r", pivoting=True)
-    return {FIRST: kept, PIVOTED: tuple(int(k) for k in order[: len(kept)])}
+    return {FIRST: kept, PIVOTED: order[: len(kept)].tolist()}
 
 
 def rigid_conditions(chain: Chain, path: Path) -> dict[str, float]:
     """Condition number of a motion for each choice of base columns, in SI units."""
     H = regressor(chain, path.q, path.v, path.a).reshape(-1, 10 * chain.size)
-    named = rigid_columns(chain, H).items()
-    return {name: float(np.linalg.cond(H[:, list(at)])) for name, at in named}
+    chosen = rigid_columns(chain, H).items()
+    return {name: float(np.linalg.cond(H[:, columns])) for name, columns in chosen}

@@ -19,15 +19,7 @@ DERIVATIVES = 4  # position, speed, acceleration, jerk
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Samples of a motion.
-
-    Attributes:
-        t: Time, shape (N,), [s].
-        q: Position, shape (N, n), [rad].
-        v: Speed, shape (N, n), [rad/s].
-        a: Acceleration, shape (N, n), [rad/s²].
-        jerk: Jerk, shape (N, n), [rad/s³].
-    """
+    """Samples of a motion: times (N,), [s], and the rest (N, n), in rad and s."""
 
     t: Array
     q: Array
@@ -37,13 +29,13 @@ class Path:
 
     def at(self, samples: Any) -> Path:
         """Some of the samples."""
-        return Path(*(x[samples] for x in (self.t, self.q, self.v, self.a, self.jerk)))
+        return Path(*(x[samples] for x in vars(self).values()))
 
     @classmethod
     def joined(cls, paths: Sequence[Path]) -> Path:
         """Paths one after the other, as rows of one table; time is not continued."""
-        names = ("t", "q", "v", "a", "jerk")
-        return cls(*(np.concatenate([getattr(p, x) for p in paths]) for x in names))
+        each = zip(*(vars(path).values() for path in paths), strict=True)
+        return cls(*map(np.concatenate, each))
 
 
 class Family(Protocol):
@@ -69,12 +61,7 @@ class Family(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A motion of n joints from a family.
-
-    Attributes:
-        family: Basis functions of each joint.
-        coefficients: Coefficients of the basis functions, shape (m, n), [rad].
-    """
+    """A motion of n joints: a family and its coefficients, shape (m, n), [rad]."""
 
     family: Family
     coefficients: Array
@@ -96,9 +83,8 @@ class Trajectory:
         """The motion as a reference, at a number of samples per second [Hz]."""
         if not (np.isfinite(rate) and rate * self.family.duration >= 2):
             raise ExcitationError(f"rate is {rate:g} Hz, two samples or more are valid")
-        t = uniform(self.family.duration, rate)
-        path = self.path(t)
-        return Reference(t, path.q, path.v, path.a)
+        path = self.path(uniform(self.family.duration, rate))
+        return Reference(path.t, path.q, path.v, path.a)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready content."""
@@ -108,12 +94,7 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Basis functions of a family at fixed times.
-
-    Attributes:
-        family: The family.
-        t: Times, shape (N,), [s].
-    """
+    """Basis functions of a family at fixed times (N,), [s]."""
 
     family: Family
     t: Array

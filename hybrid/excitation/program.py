@@ -29,30 +29,18 @@ class MotionProgram:
 
     The unit of a coordinate is the coefficient that reaches a limit alone, so that a
     step of 0.1 is small for every joint and basis function.
-
-    Attributes:
-        observation: The unknowns.
-        criterion: The optimality criterion.
-        family: Family of motions.
-        constraints: Conditions on each sample.
-        limits: Limits of the joints, for the scale of the coordinates.
-        known: Information of motions chosen before, shape (b, b).
-        rate: Samples of the design grid per second, [Hz].
-        power: Sharpness of the criterion; see :class:`Criterion`.
-        margin: Share of every limit that is kept free.
-        count: Number of motions T that are optimised together.
     """
 
     observation: Observation
     criterion: Criterion
     family: Family
     constraints: Sequence[Constraint]
-    limits: Limits
-    known: Array
-    rate: float
-    power: float
-    margin: float
-    count: int = 1
+    limits: Limits  # for the scale of the coordinates
+    known: Array  # information of motions chosen before, shape (b, b)
+    rate: float  # samples of the design grid per second, [Hz]
+    power: float  # sharpness of the criterion, see Criterion
+    margin: float  # share of every limit that is kept free
+    count: int = 1  # motions T that are optimised together
 
     @cached_property
     def grid(self) -> Grid:
@@ -90,9 +78,12 @@ class MotionProgram:
 
     def point(self, trajectory: Trajectory) -> Array:
         """Coordinates of a motion, shape (m·n,)."""
-        return np.asarray(
-            ((trajectory.coefficients - self.middle) / self.scale).ravel()
-        )
+        offset = trajectory.coefficients - self.middle
+        return np.asarray((offset / self.scale).ravel())
+
+    def paths(self, x: Array, grid: Grid) -> list[Path]:
+        """Samples of each motion of a point."""
+        return [grid.path(self.coefficients(part)) for part in self.parts(x)]
 
     def random(self, rng: np.random.Generator) -> Array:
         """Random motions about random postures as a start, shape (T·m·n,)."""
@@ -141,12 +132,12 @@ class MotionProgram:
 
     def information(self, x: Array) -> Array:
         """Information of the motions and of those chosen before, shape (b, b)."""
-        paths = [self.grid.path(self.coefficients(y)) for y in self.parts(x)]
-        return np.asarray(self.known + sum(map(self.observation.gram, paths)))
+        grams = map(self.observation.gram, self.paths(x, self.grid))
+        return np.asarray(self.known + sum(grams))
 
     def objective(self, x: Array) -> tuple[float, Array]:
         """The criterion of all motions, and its gradient, shape (T·m·n,)."""
-        paths = [self.grid.path(self.coefficients(y)) for y in self.parts(x)]
+        paths = self.paths(x, self.grid)
         matrices = [self.observation.matrix(path) for path in paths]
         rows = [W.reshape(-1, self.observation.size) for W in matrices]
         gram = self.known + np.asarray(sum(W.T @ W for W in rows))
@@ -166,10 +157,7 @@ class MotionProgram:
     def _conditions(self, x: Array) -> tuple[Array, Array]:
         """Conditions of one motion, shapes (M,) and (M, m·n)."""
         values, slopes = [np.zeros(0)], [np.zeros((0, x.size))]
-        for constraint, (path, found) in zip(
-            self.constraints, self._excesses(x), strict=True
-        ):
-            grid = self.fine if constraint.is_linear else self.grid
+        for constraint, grid, path, found in self._excesses(x):
             excess = found + self.margin
             peaks = _peaks(excess)
             if not constraint.is_linear:
@@ -190,11 +178,11 @@ class MotionProgram:
         return max(map(self._excess, self.parts(x)))
 
     def _excess(self, x: Array) -> float:
-        every = [found.max(initial=-np.inf) for _, found in self._excesses(x)]
+        every = [found.max(initial=-np.inf) for *_, found in self._excesses(x)]
         return float(max(every, default=-np.inf)) + self.margin
 
-    def _excesses(self, x: Array) -> list[tuple[Path, Array]]:
-        """Samples of one motion, and the excess of each constraint in each of them.
+    def _excesses(self, x: Array) -> list[tuple[Constraint, Grid, Path, Array]]:
+        """Each constraint, its grid, samples of one motion, and the excess in them.
 
         They are cached, because the solver needs them for the excess of a step and
         again for its slopes.
@@ -203,38 +191,31 @@ class MotionProgram:
         if key not in self._cache:
             if len(self._cache) >= _CACHE_SIZE:
                 self._cache.clear()
-            coefficients = self.coefficients(x)
-            grids = [self.fine if c.is_linear else self.grid for c in self.constraints]
-            paths = [grid.path(coefficients) for grid in grids]
-            self._cache[key] = [
-                (path, constraint.excess(path))
-                for constraint, path in zip(self.constraints, paths, strict=True)
-            ]
+            coefficients, found = self.coefficients(x), []
+            for c in self.constraints:
+                grid = self.fine if c.is_linear else self.grid
+                path = grid.path(coefficients)
+                found.append((c, grid, path, c.excess(path)))
+            self._cache[key] = found
         return self._cache[key]
 
     @cached_property
-    def _cache(self) -> dict[bytes, list[tuple[Path, Array]]]:
+    def _cache(self) -> dict[bytes, list[tuple[Constraint, Grid, Path, Array]]]:
         return {}
 
     def impossible(self) -> tuple[str, ...]:
         """Names of conditions that no random posture satisfies."""
-        still = self._postures(np.random.default_rng(0))
-        found = [
-            name
-            for constraint in self.constraints
-            if not constraint.is_linear
-            for name, least in zip(
-                constraint.names, constraint.excess(still).min(axis=0), strict=True
-            )
-            if least > 0
-        ]
+        still, found = self._postures(np.random.default_rng(0)), []
+        for c in self.constraints:
+            if not c.is_linear:
+                over = c.excess(still).min(axis=0) > 0
+                found += [c.names[k] for k in np.flatnonzero(over)]
         return tuple(dict.fromkeys(found))  # a name may stand for several conditions
 
     def verified(self, x: Array) -> dict[str, float]:
         """Largest excess of each condition on the fine grid, without the margin."""
         found: dict[str, float] = {}
-        for part in self.parts(x):
-            path = self.fine.path(self.coefficients(part))
+        for path in self.paths(x, self.fine):
             for constraint in self.constraints:
                 worst = constraint.excess(path).max(axis=0, initial=-np.inf)
                 for name, excess in zip(constraint.names, worst, strict=True):

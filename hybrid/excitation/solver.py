@@ -25,14 +25,7 @@ _ENOUGH = 1e-6  # predicted decrease at which to stop
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The result of a minimisation.
-
-    Attributes:
-        x: Best point, shape (d,).
-        value: Objective at ``x``.
-        excess: Largest excess at ``x``.
-        curvature: Approximate Hessian, shape (d, d).
-    """
+    """The best point, shape (d,), and objective, largest excess and Hessian there."""
 
     x: Array
     value: float
@@ -105,13 +98,9 @@ def quadratic_program(
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     solution = clarabel.DefaultSolver(
-        csc_matrix(np.triu(P)),
-        np.append(gradient, penalty),
-        csc_matrix(rows),
-        bounds,
-        [clarabel.NonnegativeConeT(len(bounds))],
-        settings,
-    ).solve()
+        csc_matrix(np.triu(P)), np.append(gradient, penalty), csc_matrix(rows), bounds,
+        [clarabel.NonnegativeConeT(len(bounds))], settings,
+    ).solve()  # fmt: skip
     step = np.array(solution.x)[:d]
     # A solver that stopped early may leave the box by a rounding error.
     return np.clip(np.where(np.isfinite(step), step, 0.0), -reach, reach)

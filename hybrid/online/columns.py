@@ -22,13 +22,17 @@ _TOGETHER = 2  # instants in a rigid-body step, which then takes as long as the 
 
 
 class InstantColumns:
-    """Derivatives of the torque by all unknowns at B instants, in ``rows`` (B, P)."""
+    """Derivatives of the torque by all unknowns at B instants, in ``rows``.
+
+    They have the shape (B, n, columns) of a layout.
+    """
 
     def __init__(
         self, robot: Robot, problem: Problem, layout: RowLayout, instants: int
     ) -> None:
         self._problem, self.layout = problem, layout
-        self.rows = np.zeros((instants, len(layout.joints)))
+        self.rows = np.zeros((instants, *layout.shape))
+        self._flat = self.rows.reshape(instants, -1)
         self._find_rigid(robot)
         self._compile_laws()
 
@@ -41,11 +45,11 @@ class InstantColumns:
         unknowns (d,) give shapes and load.
         """
         instants = np.concatenate(states[1:], axis=1).tolist()
-        for k, row in enumerate(self.rows):
+        for k, row in enumerate(self._flat):
             row[self._targets] = self._regressor.at(instants[k])
-            if k % _TOGETHER == _TOGETHER - 1 or k == len(self.rows) - 1:
+            if k % _TOGETHER == _TOGETHER - 1 or k == len(self._flat) - 1:
                 yield
-        for row, t, q, v, a in zip(self.rows, *states, strict=True):
+        for row, t, q, v, a in zip(self._flat, *states, strict=True):
             load = (row[self._inertial] * theta[self._base]) @ self._of_joint
             signals = np.concatenate([q, v, a, load, theta[self._unknowns]])
             row[self._places] = self._law.at([t, *signals.tolist()])
@@ -59,21 +63,24 @@ class InstantColumns:
 
     def _find_rigid(self, robot: Robot) -> None:
         """Find the regressor entries that are needed, and their places in a row."""
-        n, layout = robot.size, self.layout
-        inertial = np.flatnonzero(np.isin(layout.unknowns, self._problem.rigid))
-        joints, self._base = layout.joints[inertial], layout.unknowns[inertial]
-        self._inertial, self._of_joint = inertial, np.eye(n)[joints]
+        n, layout, links = robot.size, self.layout, len(self._problem.rigid)
+        each = [x[x < links] for x in self._problem.support]
+        joints = np.repeat(np.arange(n), [len(x) for x in each])
+        self._base, self._of_joint = np.concatenate(each), np.eye(n)[joints]
+        places = np.arange(self._flat.shape[1]).reshape(layout.shape)
+        self._inertial = places[joints, self._base]
         last = np.arange(10 * n**2).reshape(n, n, 10)[:, -1, :PAYLOAD].ravel()
         entries = (*self._problem.link_entries, *last.tolist())
         self._regressor = regressor_law(robot.chain, entries)
-        self._targets = np.concatenate([inertial, layout.payload.ravel()])
+        self._targets = np.append(self._inertial, places[:, layout.payload])
 
     def _compile_laws(self) -> None:
         """Compile derivatives of torque by gains and shapes of laws, and their places.
 
         Laws that cannot be compiled, and effects of more than one joint, are others.
         """
-        n, tape, layout = self.layout.joint_count, Tape(), self.layout
+        tape, layout = Tape(), self.layout
+        n, width = layout.shape
         names = ["t", *(f"{x}[{j}]" for x in ("q", "v", "a", "load") for j in range(n))]
         t, *signals = (tape.input(name) for name in names)
         states = [
@@ -82,14 +89,14 @@ class InstantColumns:
                 *(signals[k * n : k * n + n] for k in range(4)), strict=True
             )
         ]
-        found: dict[int, Any] = {}
+        found: dict[tuple[int, int], Any] = {}
         self._others: list[int] = []
         for e, effect in enumerate(self._problem.effects):
             try:
                 found |= _law_columns(e, effect, states, layout, tape)
             except (HybridError, TypeError, ValueError):
                 self._others.append(e)
-        self._places = np.array(list(found), dtype=int)
+        self._places = np.array([width * j + u for j, u in found], dtype=int)
         inputs = {x.arguments[0] for x in tape.lines if x.name == "input"}
         marks = [u for u in range(layout.size) if f"theta[{u}]" in inputs]
         self._unknowns = np.array(marks, dtype=int)
@@ -101,27 +108,22 @@ class InstantColumns:
     ) -> None:
         """Write an effect that depends on several joints; slower."""
         effect, own = self._problem.effects[e], self.layout.gains[e]
-        shapes, joints = self.layout.shapes[e], effect.reaches(motion.q.shape[1])
+        shapes, joints = self.layout.shapes[e], [*effect.reaches(motion.q.shape[1])]
         names, values = [s.name for s in effect.shapes], theta[shapes].tolist()
         here = effect.at(dict(zip(names, values, strict=True)))
         columns = here.columns(motion, body)  # (B, r, p)
         known = [g for g, unknown in enumerate(own) if unknown >= 0]
         gains = theta[[own[g] for g in known]]
-
-        def write(unknown: int, torque: Array) -> None:
-            for joint, x in zip(joints, torque.T, strict=True):
-                place = self.layout.place(joint, unknown)
-                if place >= 0:
-                    self.rows[:, place] = x
-
         for g in known:
-            write(own[g], columns[:, :, g])
+            self.rows[:, joints, own[g]] = columns[:, :, g]
+        if not self.layout.tracked:
+            return
         for unknown, x, s in zip(shapes, values, effect.shapes, strict=True):
-            if self.layout.place(joints[0], unknown) >= 0:
-                step = _STEP * max(abs(x), _STEP)
-                step = -step if x - step >= s.lower else step
-                moved = here.at({s.name: x + step}).columns(motion, body)
-                write(unknown, (moved - columns)[:, :, known] @ gains / step)
+            step = _STEP * max(abs(x), _STEP)
+            step = -step if x - step >= s.lower else step
+            moved = here.at({s.name: x + step}).columns(motion, body)
+            slope = (moved - columns)[:, :, known] @ gains / step
+            self.rows[:, joints, unknown] = slope
 
 
 def _law_columns(
@@ -130,31 +132,27 @@ def _law_columns(
     states: Sequence[JointState],
     layout: RowLayout,
     tape: Tape,
-) -> dict[int, Any]:
-    """Symbolic derivative by each gain and shape, by its place in a row."""
+) -> dict[tuple[int, int], Any]:
+    """Symbolic derivative by each gain and shape, by its joint and unknown."""
     if not isinstance(effect, JointEffect):
         raise HybridError(f"{effect.id} is no law of one joint's own state")
     (joint,) = effect.joints
 
-    def places(unknowns: Sequence[int]) -> list[int]:
-        return [layout.place(joint, u) for u in unknowns]
-
     def theta(unknown: int) -> Any:
         return tape.input(f"theta[{unknown}]") if unknown >= 0 else 0.0
 
-    gains, slopes = places(layout.gains[e]), places(layout.shapes[e])
-    tracked = all(place >= 0 for place in slopes)
+    gains, slopes = layout.gains[e], layout.shapes[e] if layout.tracked else []
     shapes: dict[str, Any] = dict(effect.shape_values)
-    if tracked:
-        shapes = dict(zip(shapes, map(theta, layout.shapes[e]), strict=True))
+    if layout.tracked:
+        shapes = dict(zip(shapes, map(theta, slopes), strict=True))
     law = [*effect.law(states[joint], **shapes)]
 
     def torque(law: Sequence[Any]) -> Any:
-        return sum(theta(u) * x for u, x in zip(layout.gains[e], law, strict=True))
+        return sum(theta(u) * x for u, x in zip(gains, law, strict=True))
 
     found = dict(zip(gains, law, strict=True))
-    for name, place in zip(shapes, slopes, strict=True) if tracked else ():
+    for name, unknown in zip(shapes, slopes, strict=False):
         step = _STEP * np.maximum(abs(shapes[name]), _STEP)
         moved = effect.law(states[joint], **shapes | {name: shapes[name] + step})
-        found[place] = (torque(moved) - torque(law)) / step
-    return {place: x for place, x in found.items() if place >= 0}
+        found[unknown] = (torque(moved) - torque(law)) / step
+    return {(joint, unknown): x for unknown, x in found.items() if unknown >= 0}

@@ -6,7 +6,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.online.initial_estimate import InitialEstimate, payload_sizes
-from hybrid.online.layout import PAYLOAD, RowLayout
+from hybrid.online.layout import MOVING, PAYLOAD, TORQUE, RowLayout
 from hybrid.online.noise import TorqueNoise
 from hybrid.online.payload_change import PayloadChange, likely_payload
 from hybrid.online.square_root import SquareRootFilter
@@ -49,12 +49,8 @@ class OnlineEstimate:
     def taken(self) -> Array:
         """The most probable payload of the last change, shape (10,)."""
         mean, covariance = self._before
-        return likely_payload(
-            self.filter.mean - mean,
-            covariance + self.filter.covariance,
-            self._payload,
-            self._sizes,
-        )
+        change, both = self.filter.mean - mean, covariance + self.filter.covariance
+        return likely_payload(change, both, self._payload, self._sizes)
 
     def learn(self, row: Array, t: float) -> Generator[None, None, float | None]:
         """Update with a row, in steps.
@@ -66,9 +62,9 @@ class OnlineEstimate:
             Statistic of a change of the payload, or None.
         """
         layout, p = self._layout, self._gains
-        J = layout.derivative(row)
-        self.error = row[layout.torque] - J[:, :p] @ self.filter.mean[:p]
-        joints = np.flatnonzero(row[layout.moving] > 0.5)
+        J = row[:, : layout.size]
+        self.error = row[:, TORQUE] - J[:, :p] @ self.filter.mean[:p]
+        joints = np.flatnonzero(row[:, MOVING] > 0.5)
         yield
         if not joints.size or t < self._learn_from:
             return None
@@ -80,7 +76,7 @@ class OnlineEstimate:
         std = np.sqrt(1.0 + np.einsum("ij,ij->i", projected, projected))
         # The detector accounts for the correlation of successive rows itself.
         unit = np.sqrt(inflation) / std
-        payload = row[layout.payload[joints]] * share[:, None] * unit[:, None]
+        payload = row[joints, layout.payload] * share[:, None] * unit[:, None]
         self._detector.add(payload, error * unit)
         yield
         change = self._detector.detect(t, inflation)

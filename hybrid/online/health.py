@@ -49,7 +49,7 @@ class Health:
     @property
     def ok(self) -> bool:
         """Whether few samples are lost and the rate is as stated."""
-        return self.lost <= _MOST_LOST and self.rate_is_right
+        return not self.problems
 
     @property
     def summary(self) -> str:

@@ -164,20 +164,20 @@ class OnlineIdentifier:
             shape_prior=0.0,
             standing=model.standing if model.standing.size else None,
         )
+        nothing = np.zeros((0, 0))
         tracker._origin = replace(
-            model,
-            remainder=None,
-            inertial=None,
-            covariance=np.zeros((0, 0)),
-            simpler={},
+            model, remainder=None, inertial=None, covariance=nothing, simpler={}
         )
         return tracker
 
     @property
     def delay(self) -> float:
         """Delay of the estimate after the newest sample, [s]."""
-        margin = self._differentiator.margin if self._differentiator else 0
-        return (margin + self._block - 1) / self.rate
+        return (self._margin + self._block - 1) / self.rate
+
+    @property
+    def _margin(self) -> int:
+        return self._differentiator.margin if self._differentiator else 0
 
     @property
     def health(self) -> Health:
@@ -207,17 +207,13 @@ class OnlineIdentifier:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Every unknown by name, with unit, bounds and standard deviation."""
-        base = self.problem.base
-        names = [*base.kept_labels]
-        units = [base.units[k] for k in base.kept]
+        base, unit_at = self.problem.base, self.robot.chain.unit_at
+        names, units = [*base.kept_labels], [base.units[k] for k in base.kept]
         for effect in self.problem.effects:
             where = "+".join(self.robot.joints[j] for j in effect.joints)
             where = "arm" if effect.scope == "arm" else where
             names += [f"{effect.id}.{s.name}[{where}]" for s in effect.shapes]
-            units += [
-                self.robot.chain.unit_at(effect.unit_joints, s.unit)
-                for s in effect.shapes
-            ]
+            units += [unit_at(effect.unit_joints, s.unit) for s in effect.shapes]
         values = (self._estimate.filter.mean, *self._estimate.bounds, self.std)
         value, lower, upper, std = (x.tolist() for x in values)
         return tuple(map(Parameter, names, value, lower, upper, units, std))
@@ -285,20 +281,19 @@ class OnlineIdentifier:
             raise IdentificationError(
                 "without a cut-off every sample needs its speed and acceleration"
             )
-        differentiator = self._differentiator
         self._pipeline = Pipeline(
             self._columns,
             group=self._group,
-            differentiator=differentiator,
+            differentiator=self._differentiator,
             low_pass=self._low_pass,
             standing=self._standing,
         )
         return Intake(
             self.robot.size,
             rate=self.rate,
-            window=differentiator.span if differentiator else 0.0,
+            window=self._differentiator.span if self._differentiator else 0.0,
             speed=_IMPLAUSIBLE * sum(s.speed for s in self._scales),
             torque=_IMPLAUSIBLE * sum(s.torque for s in self._scales),
-            before=2 * differentiator.margin if differentiator else 0,
+            before=2 * self._margin,
             block=self._block,
         )

@@ -17,30 +17,20 @@ _LEAST_MASS, _LEAST_MOMENT, _LEAST_INERTIA = 0.1, 0.01, 0.001  # kg, kg·m, kg·
 
 @dataclass(frozen=True)
 class InitialEstimate:
-    """Initial estimate of base parameters, gains and shapes.
+    """Initial estimate of base parameters, gains and shapes."""
 
-    Attributes:
-        problem: The unknowns, with initial link parameters and effects.
-        scales: Rated torque and speed of each joint.
-        prior: Relative standard deviation of link parameters and gains.
-        shape_prior: Relative standard deviation of shapes; 0 keeps them constant.
-    """
-
-    problem: Problem
-    scales: Sequence[Scale]
-    prior: float
-    shape_prior: float
+    problem: Problem  # the unknowns, with initial link parameters and effects
+    scales: Sequence[Scale]  # rated torque and speed of each joint
+    prior: float  # relative standard deviation of link parameters and gains
+    shape_prior: float  # relative standard deviation of shapes; 0 keeps them constant
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """The effects; gains that are part of base parameters are zero."""
-        kept = {(e, g) for _, e, g in self.problem.gains}
-        return tuple(
-            effect.at(
-                {x.name: 0.0 for g, x in enumerate(effect.gains) if (e, g) not in kept}
-            )
-            for e, effect in enumerate(self.problem.effects)
-        )
+        kept, effects = {x[1:] for x in self.problem.gains}, [*self.problem.effects]
+        for e, g in set(self.problem.columns) - kept:
+            effects[e] = effects[e].at({effects[e].gains[g].name: 0.0})
+        return tuple(effects)
 
     @cached_property
     def theta(self) -> Array:

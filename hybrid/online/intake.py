@@ -90,12 +90,8 @@ class Intake:
     @property
     def health(self) -> Health:
         """Counts of the samples so far."""
-        return Health(
-            **self._count,
-            lost=self._lost,
-            rate=1.0 / self._period,
-            stated_rate=self._rate,
-        )
+        rate = 1.0 / self._period
+        return Health(**self._count, lost=self._lost, rate=rate, stated_rate=self._rate)
 
     def take(self, sample: Sample) -> Array | None:
         """Accept or reject a sample.

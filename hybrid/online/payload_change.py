@@ -50,9 +50,8 @@ def likely_payload(
 class PayloadChange:
     """Likelihood-ratio test for a jump of the mass and first moments of the last link.
 
-    Args:
-        rate: Updates per second, [Hz].
-        sizes: Usual mass [kg] and first moments [kg·m] of a payload, shape (4,).
+    There are ``rate`` updates per second, [Hz]. Usual payloads have the ``sizes``,
+    shape (4,), mass [kg] and first moments [kg·m].
     """
 
     def __init__(self, rate: float, sizes: Array) -> None:

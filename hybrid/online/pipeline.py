@@ -6,6 +6,7 @@ import numpy as np
 
 from hybrid.arrays import Array, Mask
 from hybrid.online.columns import InstantColumns
+from hybrid.online.layout import MOVING, TORQUE
 from hybrid.signals.streaming import BlockLowPass, LocalPolynomial
 
 States = tuple[Array, Array, Array]  # position, speed and acceleration, (B, n) each
@@ -36,7 +37,7 @@ class Pipeline:
         self._regular = np.ones(1, dtype=bool)
 
     def row(self, samples: Array, theta: Array) -> Generator[None, None, Array]:
-        """The filtered row of a block, shape (P,), in steps.
+        """The filtered row of a block, shape (n, columns), in steps.
 
         The samples are those of :meth:`Intake.take`, with margins; the unknowns have
         the shape (d,).
@@ -55,12 +56,14 @@ class Pipeline:
         yield
         yield from self._columns.fill((t[:, 0], *states), theta)
         # Columns and torque are filtered identically; those of standing joints are 0.
-        rows, layout = self._columns.rows, self._columns.layout
-        rows[:, layout.torque], rows[:, layout.moving] = signals[:, n : 2 * n], 1.0
-        rows *= moving[:, layout.joints]
+        rows = self._columns.rows
+        rows[:, :, TORQUE], rows[:, :, MOVING] = signals[:, n : 2 * n], 1.0
+        rows *= moving[:, :, None]
         if not np.isfinite(rows.sum()):  # a law has no value there: leave the row out
-            rows[~np.isfinite(rows).all(axis=1)] = 0.0
-        row = rows[-1] if self._low_pass is None else self._low_pass(rows)
+            rows[~np.isfinite(rows).all(axis=(1, 2))] = 0.0
+        row: Array = rows[-1]
+        if self._low_pass is not None:
+            row = self._low_pass(rows.reshape(len(rows), -1)).reshape(row.shape)
         yield
         return row
 
