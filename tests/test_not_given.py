@@ -41,7 +41,7 @@ def test_a_frame_that_only_has_a_parent_is_that_parent():
     body = Node(0, body=1, mass=2.0, center=np.ones(3), inertia=np.eye(3))
     tree = Tree("here", [hinge, body, Node(1), Node(2, body=2)])
     places, (frame,) = tree.places(("a",), {})
-    for place in places:
+    for _, place in places:
         assert place.link == 0 and not place.position.any()
         np.testing.assert_array_equal(place.rotation, np.eye(3))
     assert not frame.position.any()
