@@ -49,7 +49,7 @@ def test_a_frame_that_only_has_a_parent_is_that_parent():
     assert chain.revolute.tolist() == [True] and chain.inertial[0, 0] == 2.0
     np.testing.assert_allclose(chain.inertial[0, 4:], [5.0, -2.0, 5.0, -2.0, -2.0, 5.0])
     held = Tree("here", [hinge, Node(0, joint="b", axis=np.array([1.0, 0, 0])), body])
-    np.testing.assert_array_equal(held.places(("a",), {})[0][1].rotation, np.eye(3))
+    np.testing.assert_array_equal(held.places(("a",), {})[0][1][1].rotation, np.eye(3))
 
 
 def test_a_step_of_a_chain_without_a_size_leads_nowhere():
