@@ -100,14 +100,15 @@ def dry_friction(gap: Gap) -> Array:
     level = gap.robot.frictionloss.copy()
     fields = [cls.fields.get(g.name) for cls in _usual() for g in cls.gains]
     for j, moving in enumerate(gap.moving.T):
-        gains = np.linalg.lstsq(usual_columns(gap, j)[moving], gap.left[moving, j])[0]
+        columns = np.hstack(usual_columns(gap, j))[moving]
+        gains = np.linalg.lstsq(columns, gap.left[moving, j])[0]
         level[j] += max(0.0, gains[fields.index("frictionloss")])
     return level
 
 
-def usual_columns(gap: Gap, joint: int) -> Array:
-    """Columns of what most drives have, such as friction and a rotor, shape (M, p)."""
-    return np.hstack([gap.columns(cls((joint,)))[joint] for cls in _usual()])
+def usual_columns(gap: Gap, joint: int) -> list[Array]:
+    """Columns of what most drives have: friction, a rotor; shape (M, p) each."""
+    return [gap.columns(cls((joint,)))[joint] for cls in _usual()]
 
 
 def _usual() -> list[type[Effect]]:

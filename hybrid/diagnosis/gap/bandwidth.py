@@ -16,7 +16,7 @@ def bandwidth(gap: Gap) -> float:
     for j, moving in enumerate(gap.moving.T):
         if not moving.any():
             continue
-        X = np.hstack([*(x[j] for x in links if j in x), usual_columns(gap, j)])
+        X = np.hstack([x[j] for x in links if j in x] + usual_columns(gap, j))
         own = X[moving]
         model[:, j] = X @ pseudo_solve(own.T @ own, own.T @ measured[moving, j])
     logs = [gap.trajectory == k for k in range(len(gap.motions))]

@@ -120,7 +120,7 @@ def _joints(gap: Gap) -> Iterator[_Joint]:
     ])  # fmt: skip
     for j in np.flatnonzero(gap.moving.any(axis=0)).tolist():
         used = gap.moving[:, j]
-        basis = _basis(usual_columns(gap, j)[used])
+        basis = _basis(np.hstack(usual_columns(gap, j))[used])
 
         def beyond(x: Array, basis: Array = basis) -> Array:
             return np.asarray(x - basis @ (basis.T @ x))
