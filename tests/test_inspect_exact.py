@@ -303,7 +303,7 @@ def test_positions_in_another_unit_or_order_or_outside_are_told():
         name, row, x, ends = "q1 (a)", peak, largest, "-2 to 2"
     assert line == (
         f"{name}, row {row + 1} (data rows count from 1): {x:.6g} looks like degrees; "
-        f"valid are rad within {ends}"
+        f"valid are rad within {ends}, or a label as 'q [deg]'"
     )
     assert "looks like milliradians" in said(1e3 * right)[0][2]
     assert "is far outside the limits" in said(1e6 * right)[0][2]

@@ -16,8 +16,8 @@ from hybrid.robot import Robot
 
 SLACK = 0.1  # rad or m: limits in robot files are rounded
 _FARTHEST = 4 * np.pi  # rad, of a joint from zero
-_ANGLES = ((np.pi / 180, "degrees"), (1e-3, "milliradians"))
-_LENGTHS = ((1e-3, "millimetres"),)
+_ANGLES = ((np.pi / 180, "degrees", "deg"), (1e-3, "milliradians", "mrad"))
+_LENGTHS = ((1e-3, "millimetres", "mm"),)
 
 
 def doubts_of_positions(recording: Recording, robot: Robot | None) -> Iterator[Doubt]:
@@ -69,7 +69,11 @@ def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
             continue
         joint = int(np.argmax(np.where(suspect, peak, 0.0)))
         row = int(np.argmax(np.abs(recording.q[:, joint])))
-        names = [x for k, x in smaller if _fits(recording.q * k, robot, kind)][:1]
+        low, high = robot.q_min[joint], robot.q_max[joint]
+        remedy = f"valid are {unit} within {low:.6g} to {high:.6g}"
+        fitting = [x for x in smaller if _fits(recording.q * x[0], robot, kind)]
+        names = [name for _, name, _ in fitting[:1]]
+        remedy += "".join(f", or a label as 'q [{x}]'" for *_, x in fitting[:1])
         turns = suspect * _turns(recording.q, robot)
         if unit == "rad" and _fits(recording.q - 2 * np.pi * turns, robot, kind):
             most = int(np.abs(turns).max())
@@ -78,8 +82,6 @@ def _units(recording: Recording, robot: Robot, own: Array) -> Iterator[Doubt]:
         text = f"{recording.place('q', joint, row)}: {recording.q[row, joint]:.6g} "
         looks = f"looks like {', or '.join(names)}"
         text += looks if names else "is far outside the limits"
-        low, high = robot.q_min[joint], robot.q_max[joint]
-        remedy = f"valid are {unit} within {low:.6g} to {high:.6g}"
         # A joint without limits may have made many turns.
         severity = error_if(bool(names) or bool(np.isfinite(reach[joint])))
         joints = tuple(np.flatnonzero(suspect).tolist())
