@@ -622,12 +622,16 @@ def test_all_numbers_are_shown_with_both_ends_of_their_intervals():
     for name in ("armature", "offset", "delay"):
         std[NAMES.index(name), 0] = 0.5
     drive = FILE.at(armature=0.03, offset=-0.2, delay=0.01, stiffness=1234.0)
-    table = {name: cells for name, *cells in
-             servos_table(result(drive=drive, std=std)).rows}  # fmt: skip
+    shown = servos_table(result(drive=drive, std=std))
+    table = {name: cells for name, *cells in shown.rows}
     assert table["armature, kg·m²"] == ["0.03 (0.0113 … 0.0799)", "0.03"]
     assert table["offset, N·m"][0] == "-0.2 (-1.18 … 0.78)"
     assert table["delay, s"][0] == "0.01 (0 … 0.99)"
     assert table["stiffness, N·m/rad"] == ["1230", "1230"]
+    assert "dead band" in shown.caption and "dead band, rad" not in table
+    assert "delay" not in shown.caption
+    zeros = shown.caption.removeprefix("Zero at every joint: ").split(", ")
+    assert len(table) + len(zeros) == len(QUANTITIES)
 
 
 def test_the_result_as_numbers():

@@ -50,10 +50,13 @@ def findings_table(fit: ServoFit) -> Table:
 
 
 def servos_table(fit: ServoFit) -> Table:
-    """All parameters of all servos, with 95 % intervals."""
-    rows = []
+    """All parameters of all servos, with 95 % intervals; zeros are told once."""
+    rows, zeros = [], []
     for k, each in enumerate(QUANTITIES):
-        cells = []
+        name, cells = each.name.replace("_", " "), []
+        if not (fit.drive[each.name].any() or fit.std[k].any()):
+            zeros.append(name)
+            continue
         none = fit.drive.unlimited & (each.name == "stall")
         for j, (x, std) in enumerate(
             zip(fit.drive[each.name], fit.std[k], strict=True)
@@ -61,9 +64,9 @@ def servos_table(fit: ServoFit) -> Table:
             low, high = map(_plain, each.interval(x, std))
             own = f"{_plain(x)} ({low} … {high})" if std else _plain(x)
             cells.append("none" if none[j] else own)
-        name = each.name.replace("_", " ")
         rows.append((f"{name}, {each.unit}" if each.unit else name, *cells))
-    return Table(("", *fit.robot.joints), tuple(rows))
+    caption = f"Zero at every joint: {', '.join(zeros)}" if zeros else ""
+    return Table(("", *fit.robot.joints), tuple(rows), caption)
 
 
 def _plain(x: float) -> str:
