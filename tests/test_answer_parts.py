@@ -9,7 +9,12 @@ from pendulum import gap_of, pendulum, with_torque
 
 from hybrid.diagnosis import diagnose as diagnose_module
 from hybrid.diagnosis.answer import command, events, motion_gap
-from hybrid.diagnosis.answer.command import _excess, _plausible, _Servo
+from hybrid.diagnosis.answer.command import (
+    _excess,
+    _is_significant,
+    _plausible,
+    _Servo,
+)
 from hybrid.diagnosis.answer.diagnosis import Diagnosis, Region, Shrink, Unseen
 from hybrid.diagnosis.answer.events import contacts_in_motion, events_at_rest
 from hybrid.diagnosis.answer.findings import (
@@ -819,6 +824,14 @@ def test_an_excess_is_above_noise_in_blocks_of_a_second():
     expected[:2, 1] = 5 * (16.0 / 2.0 - 1.0)
     np.testing.assert_allclose(found, expected)
     assert seconds(SimpleNamespace(fold=np.zeros(3), rate=0.2)).tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize(("stiffness", "told"), [(-0.003, True), (0.0019, False)])
+def test_servo_gains_whose_intervals_all_hold_zero_are_not_told(stiffness, told):
+    """Once a tenth of a per cent, 0 ± 0.2 %, was named on an arm that had none."""
+    std = {"stiffness": 0.001, "damping": 0.03}
+    found = ControllerGain((0,), {"stiffness": stiffness, "damping": 0.05}, std)
+    assert _is_significant(found) == told
 
 
 def test_gains_at_their_bounds_are_not_plausible():

@@ -162,8 +162,9 @@ def _fitted_servo(
         if len(found) == 2:
             fits[False, False] = fit_without_latency(train, declared, whole)
     noise = float(whole.left @ whole.left) / len(train.row)
-    named = tuple(k for k in found if k in kinds)
-    effects = _fitted_effects(gap, i, log, named)
+    effects = _fitted_effects(gap, i, log, tuple(k for k in found if k in kinds))
+    effects = tuple(filter(_is_significant, effects))
+    named = tuple(map(type, effects))
     return _Servo(i, log, held_out, fits, named, effects, noise, scale)
 
 
@@ -199,6 +200,12 @@ def _gains_differ(found: Fit, gap: Gap, train: ServoLog, i: int) -> bool:
     hidden = np.array([0.0, (1.0 + error[1]) * part / max(1.0 - part, 1e-3)])
     sizes = np.maximum(error, -error - hidden)
     return bool((sizes - HALF_WIDTH * std > _LEAST_ERROR).any())
+
+
+def _is_significant(effect: Effect) -> bool:
+    """Whether an interval, from all samples and not the training ones, holds no 0."""
+    each = (abs(effect.values[x]) > HALF_WIDTH * std for x, std in effect.std.items())
+    return any(each)
 
 
 def _plausible(effect: Effect) -> bool:
