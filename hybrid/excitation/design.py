@@ -119,7 +119,7 @@ class Design(Shown):
         rate: float = 200.0,
         more: Mapping[str, Any] | None = None,
     ) -> list[pathlib.Path]:
-        """Write the motions as CSV files, and ``design.json``; return the former.
+        """Write the motions as CSV files, which are returned, and ``design.json``.
 
         Args:
             folder: Folder of the files.
