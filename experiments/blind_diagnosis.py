@@ -46,22 +46,22 @@ def main() -> None:
     """Run the cases, print the table, write the report."""
     parser = command_line(__doc__, "blind_diagnosis")
     parser.add_argument("--cases", type=int, default=600)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seed", type=int, nargs="+", default=[1])
     parser.add_argument("--strata", nargs="+", choices=STRATA, metavar="STRATUM")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--scheduler", help="address of a Dask scheduler")
     parser.add_argument("--log", type=Path, default=LOG)
     args, console = parser.parse_args(), Console(width=200)
+    each = [cases_of(args.cases, seed, args.strata) for seed in args.seed]
     rows = run_cases(
-        cases_of(args.cases, args.seed, args.strata),
+        [case for cases in each for case in cases],
         args.log,
         workers=args.workers,
         scheduler=args.scheduler,
         tell=lambda row: console.print(row["key"], row.get("verdict", "no answer")),
     )
-    command = (
-        f"python experiments/blind_diagnosis.py --cases {args.cases} --seed {args.seed}"
-    )
+    command = f"python experiments/blind_diagnosis.py --cases {args.cases} --seed "
+    command += " ".join(map(str, args.seed))
     if args.strata:
         command += f" --strata {' '.join(args.strata)}"
     write_benchmark(rows, args.out, tuned=TUNED, how=provenance(command=command))

@@ -171,6 +171,7 @@ def test_false_causes_of_poor_recordings_are_counted_at_any_size(stratum, name):
 def test_physics_of_others_and_places_of_what_no_file_describes():
     other = [case("independent", [coulomb()]), case("independent", [coulomb("x")])]
     assert of("independent physics: right cause first, ≥ 1×", other) == Ratio(1, 2)
+    assert of("independent physics, strict", other) == Ratio(1, 2)
     placed = [case(s, where=w) for s in ("withheld", "unknown") for w in (["j"], ["x"])]
     name = "its place, withheld or in no file"
     assert of(name, [*placed, case("unknown"), case("single", where=["j"])]) == Ratio(

@@ -192,6 +192,11 @@ MEASURES = (
         "independent physics: right cause first, ≥ 1×",
         _large("independent"), lambda r: r["in_class"],
     ),
+    Measure(
+        "independent physics, strict", _large("independent"), lambda r: r["strict"]
+    ),
+    Measure("independent physics: any false cause", _large("independent"), _wrong),
+    Measure("independent physics: abstains", _large("independent"), _silent),
     Measure("poor excitation: any false cause", _in("poor"), _wrong),
     Measure("effect of the command alone: any false cause", _in("command"), _wrong),
 )  # fmt: skip
