@@ -26,71 +26,119 @@ _BY_JOINT = "rms", "relative", "noise_floor", "units", "unseen"  # in a row of e
 
 @dataclass(frozen=True)
 class Region:
-    """A part of the gap: one joint over a range of one variable."""
+    """A part of the gap: one joint over a range of one variable.
+
+    Attributes:
+        joint: Name of the joint.
+        variable: Name of the variable.
+        low: Lower end of the range.
+        high: Upper end of the range.
+        unit: Unit of both ends.
+        share: Share of the squares above noise of the whole gap, in units of each
+            joint's noise.
+        interval: 95 % interval of the share, by the bootstrap over blocks of time.
+    """
 
     joint: str
     variable: str
-    low: float  # lower end of the range
-    high: float  # upper end of the range
-    unit: str  # of both ends
-    share: float  # of the squares above noise of the gap, in units of a joint's noise
-    interval: Interval  # 95 %, of the share, by the bootstrap over blocks of time
+    low: float
+    high: float
+    unit: str
+    share: float
+    interval: Interval
 
 
 @dataclass(frozen=True)
 class Value:
-    """A fitted parameter of an effect at a joint."""
+    """A fitted parameter of an effect at a joint.
+
+    Attributes:
+        joint: Name of the joint.
+        name: Name of the parameter.
+        value: Estimate.
+        unit: SI unit.
+        interval: 95 % interval; both ends are equal without a standard deviation.
+        determined: Whether the recordings narrow the prior, or tell a gain from zero.
+    """
 
     joint: str
     name: str
     value: float
     unit: str
-    interval: Interval  # 95 %; both ends are equal without a standard deviation
-    determined: bool = True  # if recordings narrow the prior, or tell it from zero
+    interval: Interval
+    determined: bool = True
 
 
 @dataclass(frozen=True)
 class Shrink:
-    """The gap without and with an effect, on held-out motions."""
+    """The gap without and with an effect, on held-out motions.
 
-    before: float  # RMS without it
-    after: float  # RMS with it
-    removed: float  # 1 − after/before
-    interval: Interval  # 95 %, of ``removed``, by the bootstrap over blocks of time
-    horizon_s: float | None = None  # length of the replay, [s]; None for torque
-    unit: str = "N·m"  # of both; that of revolute joints where they are mixed
+    Attributes:
+        before: RMS without it.
+        after: RMS with it.
+        removed: 1 − after/before.
+        interval: 95 % interval of ``removed``, by the bootstrap over blocks of time.
+        horizon_s: Length of the replay, [s]; None for torque.
+        unit: Unit of ``before`` and ``after``; that of revolute joints where they are
+            mixed with prismatic ones.
+    """
+
+    before: float
+    after: float
+    removed: float
+    interval: Interval
+    horizon_s: float | None = None
+    unit: str = "N·m"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect that explains part of the gap."""
+    """One effect that explains part of the gap.
 
-    effect: str  # id
-    joints: tuple[str, ...]  # names of the joints where it acts
-    alternatives: tuple[str, ...]  # ids of effects that explain as much, its own first
-    share: float  # of the explained gap (Shapley value), 0 to 1
+    Attributes:
+        effect: Id of the effect.
+        joints: Names of the joints where it acts.
+        alternatives: Ids of effects that explain as much, its own first.
+        share: Share of the explained gap (Shapley value), 0 to 1.
+        parameters: Fitted parameters.
+        shrink: The gap without and with it at its joints, in ``torque`` and ``motion``.
+        sentence: What the effect is, in words.
+        remedy: What to do about it.
+        chances: Probability of each alternative, mean over its joints; empty where
+            none was computed, as for the command.
+        probability: Probability that one of them is there, at the joint where it is
+            least. The rest is that of other effects, of an unknown law, and of none.
+        note: What the values rest on, in words; empty if on the logs alone.
+    """
+
+    effect: str
+    joints: tuple[str, ...]
+    alternatives: tuple[str, ...]
+    share: float
     parameters: tuple[Value, ...]
-    # The gap without and with it at its joints, in ``torque`` and ``motion``.
     shrink: Mapping[str, Shrink]
-    sentence: str  # what the effect is, in words
-    remedy: str  # what to do about it
-    # Probability of each alternative, mean over its joints; empty where none was
-    # computed, as for the command.
+    sentence: str
+    remedy: str
     chances: tuple[float, ...] = ()
-    # That one of them is there, at the joint where it is least. The rest is that of
-    # other effects, of an unknown law, and of none.
     probability: float = np.nan
-    note: str = ""  # what the values rest on; empty if on the logs alone
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class Advice:
-    """An experiment that tells candidate effects apart."""
+    """An experiment that tells candidate effects apart.
 
-    experiment: str  # what to run
-    splits: tuple[str, ...]  # ids of the effects that it tells apart
-    separation: float  # expected difference of their predictions, in units of noise
-    file: str = ""  # name of the file with the motion; empty if none was written
+    Attributes:
+        experiment: What to run.
+        splits: Ids of the effects that it tells apart.
+        separation: Expected difference of their predictions, in units of noise.
+        file: File name of the reference motion; empty if none was written.
+    """
+
+    experiment: str
+    splits: tuple[str, ...]
+    separation: float
+    file: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,15 +146,24 @@ class Unseen:
     """The gap of each joint on held-out motions: RMS, shape (n,), [N·m].
 
     NaN where a joint does not move.
+
+    Attributes:
+        before: Gap of the simulator's file.
+        after: Gap of the repaired simulator: with the findings, and with known laws in
+            place of unknown ones.
+        least_squares: Gap after a least-squares fit of inertia and friction of all
+            joints to the training samples.
+        ceiling: Gap with the findings and the unknown laws.
+        noise: Noise, which no model removes.
+        named: Gap with the findings and corrected numbers of the file.
     """
 
-    before: tuple[float, ...]  # of the simulator's file
-    after: tuple[float, ...]  # with the findings, and known laws for unknown ones
-    # After a fit of inertia and friction of all joints to the training samples.
+    before: tuple[float, ...]
+    after: tuple[float, ...]
     least_squares: tuple[float, ...]
-    ceiling: tuple[float, ...]  # with the findings and the unknown laws
-    noise: tuple[float, ...]  # which no model removes
-    named: tuple[float, ...]  # with the findings and corrected numbers of the file
+    ceiling: tuple[float, ...]
+    noise: tuple[float, ...]
+    named: tuple[float, ...]
 
 
 @dataclass(frozen=True, repr=False)

@@ -23,16 +23,22 @@ _EACH = "each recording"
 
 @dataclass(frozen=True)
 class Event:
-    """A contact of the arm, or a push on it."""
+    """A contact of the arm, or a push on it.
 
-    # Source of the log, or its number from 0; ``each recording`` if it is at the same
-    # time in all of them.
+    Attributes:
+        recording: Source of the log, or its number from 0; ``each recording`` if it is
+            at the same time in all of them.
+        start: Time of its first sample, by the clock of the diagnosis, [s].
+        end: Time of its last sample, [s].
+        torque: Mean torque of each joint against it, shape (n,), [N·m].
+        force: Force and moment of the last link on what it touches, in the base frame,
+            shape (6,), [N, N·m].
+    """
+
     recording: str
-    start: float  # time of its first sample, by the clock of the diagnosis, [s]
-    end: float  # time of its last sample, [s]
-    torque: tuple[float, ...]  # mean of each joint against it, shape (n,), [N·m]
-    # Force and moment of the last link on what it touches, in the base frame, shape
-    # (6,), [N, N·m].
+    start: float
+    end: float
+    torque: tuple[float, ...]
     force: tuple[float, ...]
 
 
