@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -153,9 +153,10 @@ def shares(search: Search, rng: np.random.Generator) -> Array:
     A, b = evidence.normal(base)
     at = {int(k): i for i, k in enumerate(base)}
 
-    def left(order: Sequence[int]) -> float:
+    @cache  # orders share their first terms
+    def left(some: frozenset[int]) -> float:
         own = np.concatenate([np.zeros(0, dtype=np.intp)]
-                             + [terms[i].index for i in order])  # fmt: skip
+                             + [terms[i].index for i in sorted(some)])  # fmt: skip
         here = [at[int(k)] for k in own]
         H = A[np.ix_(here, here)] + np.diag(evidence.precision[own])
         gains = np.linalg.solve(H, b[here] - A[here, :K] @ known)
@@ -163,13 +164,13 @@ def shares(search: Search, rng: np.random.Generator) -> Array:
         both = np.concatenate([known, gains])
         return float(evidence.weighted_squares(columns, both).sum())
 
-    none = left([])
+    none = left(frozenset())
     for _ in range(_ORDERS if len(terms) > 2 else 1):
         forth = rng.permutation(len(terms)).tolist()
         for order in (forth, forth[::-1]):
             before = none
             for k in range(len(order)):
-                after = left(order[: k + 1])
+                after = left(frozenset(order[: k + 1]))
                 gain[order[k]] += before - after
                 before = after
     gain = np.maximum(gain, 0.0)
