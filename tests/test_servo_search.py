@@ -226,6 +226,26 @@ def test_a_fit_ends_where_least_squares_does():
     assert usual_error(found.errors) == pytest.approx([NOISE, NOISE], rel=0.2)
 
 
+def test_a_fit_keeps_what_is_known_of_its_explanation(monkeypatch):
+    """A step that mixed the best ones of the joints forgot it, at an SO-101."""
+    truth = FILE.at(stiffness=[15.0, 30.0], offset=[0.5, -0.5])
+    made = problem(truth)
+    free = np.isin(NAMES, ("stiffness", "offset"))[:, None] & FREE
+    at, told = (NAMES.index("offset"), 0), {(NAMES.index("offset"), 0): 7.0}
+    start = made.at(FILE.coordinates, free)
+    own = np.zeros_like(free)
+    own[at] = True
+    start = replace(start, causes=own, equals={at: (3,)}, losses=told)
+    # Of the start and of two steps, each the best one of a joint; then of both mixed.
+    costs = iter([(9, 9), (0, 5), (5, 0), (9, 9), (0, 5), (5, 0), (0, 0)])
+    monkeypatch.setattr(Problem, "cost", lambda *_: np.array(next(costs)))
+    monkeypatch.setattr("hybrid.servo.problem._DAMPINGS", (0.0, 1.0))
+    found = made._step(start, made.noise(start.errors))
+    assert not np.array_equal(found.x, start.x) and next(costs, None) is None
+    assert (found.causes == own).all()
+    assert found.equals == start.equals and found.losses == told
+
+
 def test_evidence_is_that_of_the_whole_covariance():
     """Of a linear law the Laplace approximation is exact: one joint, one number."""
     made = problem(FILE.at(stiffness=[24.0, 20.0]))

@@ -187,7 +187,7 @@ class Problem:
         costs = np.array([self.cost(x, noise) for x in [found, *ends]])
         points = np.array([found.x, *tried])
         mixed = np.take_along_axis(points, costs.argmin(axis=0)[None, None, :], 0)[0]
-        ends.append(self.at(mixed, found.free))
+        ends.append(replace(found, x=mixed, errors=self.errors([mixed])[0]))
         return min([found, *ends], key=lambda x: float(self.cost(x, noise).sum()))
 
     def covariance(self, found: Estimate, noise: Noise) -> Array:
