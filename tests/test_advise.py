@@ -72,11 +72,11 @@ def read_reference(path, most=np.inf):
 def test_the_advised_experiment_splits_the_class(tmp_path):
     before, logs = poorly_recorded("load_friction", 0, 0.3)
     rivals_before = class_at(before, 0) - {"load_friction"}
-    assert {"coulomb", "presliding"} <= rivals_before
+    assert "coulomb" in rivals_before
     rng = np.random.default_rng(1)
     advised = advise(before, rng, directory=tmp_path)
     promised = {x for advice in advised for x in advice.splits} - {"load_friction"}
-    assert {"coulomb", "presliding"} <= promised
+    assert rivals_before <= promised
     assert all("load_friction" in advice.splits for advice in advised)
     ask = read_reference(tmp_path / advised[0].file, most=15.0)  # half is enough
     new = plant_with("load_friction", 0, 0.3).run([ask], seed=rng)
