@@ -270,3 +270,5 @@ def test_the_confusion_counts_single_large_effects_and_no_effects():
         row("none", [], []),
     ]
     assert confusion(rows) == {("coulomb", "viscous"): 1, ("nothing", "nothing"): 1}
+    other = [case("independent", [coulomb()]), case("pair", [coulomb()])]
+    assert confusion(other) == {("coulomb", "coulomb"): 1}

@@ -238,7 +238,7 @@ def confusion(rows: Sequence[Row]) -> Counter[tuple[str, str]]:
     """How often each effect alone, ≥ 1×, was named what; ``nothing`` on either side."""
     counted: Counter[tuple[str, str]] = Counter()
     for row in rows:
-        if _in("none")(row) or _large("single")(row):
+        if _in("none")(row) or _large("single", "independent")(row):
             true = [e["means"] for e in row["truth"]["effects"]] or ["nothing"]
             named = row["named"][0][0] if row["named"] else "nothing"
             counted[true[0], named] += 1

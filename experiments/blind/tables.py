@@ -151,7 +151,7 @@ def write_benchmark(
     rows = [row for row in rows if "skipped" not in row]
     answered, groups = scored(rows), by_robot(rows, tuned)
     tables = targets_table(groups), methods_table(answered), strata_table(answered)
-    parts = [f"## {t.caption}\n\n{markdown_table(t)}" for t in tables]
+    parts = [f"## {t.caption}\n\n{markdown_table(t)}" for t in tables if t.rows]
     with atomic_path(directory / "tables.md") as path:
         text = "\n".join([*parts, f"    {how['command']}\n"])
         path.write_text(text, encoding="utf-8")
