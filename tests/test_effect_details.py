@@ -49,6 +49,7 @@ def rigid(robot, motion):
         ("load_friction", {}, [-4.0]),
         ("nonlinear_viscous", {}, [-4.0, -8.0]),
         ("spring", {}, [0.5, 1.0]),
+        ("stiffening_spring", {"rest": -0.5, "knee": 2.0}, [1.25]),
         ("torque_ripple", {"periods": 3.0}, [np.sin(1.5), np.cos(1.5)]),
         ("stribeck", {"velocity": 0.8, "exponent": 1.0}, [-np.exp(-2.5)]),
         ("stribeck", {"velocity": 0.8, "exponent": 2.0}, [-np.exp(-6.25)]),
@@ -130,7 +131,9 @@ def test_a_limit_is_suggested_where_clearly_more_is_asked_for_than_delivered():
     assert cls.suggested([], 0) == {}
 
 
-@pytest.mark.parametrize("name", ["presliding", "thermal_friction", "saturation"])
+@pytest.mark.parametrize(
+    "name", ["presliding", "thermal_friction", "saturation", "stiffening_spring"]
+)
 def test_an_effect_is_the_law_that_it_becomes_at_its_limit(name):
     """To a few per cent, up to a factor; the plainer law has a size of its own."""
     scale = Scale(30.0, 2.0)

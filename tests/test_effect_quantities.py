@@ -73,6 +73,9 @@ saturation            limit             0.3      0.02     2        τ     N·m
 saturation            total             0        0        1        1     - inner whole
 spring                stiffness         0.05     -2       2        τ     N·m/rad
 spring                preload           0        -2       2        τ     N·m
+stiffening_spring     stiffness         0.05     0        2        τ     N·m/rad
+stiffening_spring     rest              0        -3.2     3.2      1     rad
+stiffening_spring     knee              2        0.3      20       1     rad
 stribeck              level             0.03     0        0.3      τ     N·m
 stribeck              velocity          0.05     0.001    1        1     rad/s
 stribeck              exponent          2        0.5      3        1     -

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -278,17 +279,19 @@ def test_an_inertia_that_is_no_number_has_three_moments_that_are_none():
 
 
 def test_links_are_off_by_their_mass_their_centre_and_their_width():
-    """A coordinate of the centre is so by a third of the radius of gyration or more."""
+    """The centre is so by its distance, and by a third of the radius of gyration."""
     about = np.diag([0.02, 0.03, 0.01])
     link = inertial_about(2.0, np.array([0.3, 0.0, -0.01]), about)
     found = link_spread(np.array([link, np.zeros(10)]))
-    radius = np.sqrt(0.03 / 2.0)
-    moments = 2.0 * np.array([0.3, radius / 3, radius / 3])
+    moments = 3 * [2.0 * np.hypot(0.3, 0.01)]
     inertia = 0.03 / 2 + 2.0 * (0.3**2 + 0.01**2) + 1e-9
     np.testing.assert_allclose(found[0], [2.0, *moments, *[inertia] * 6])
     assert not found[1].any()
     point = link_spread(inertial_about(2.0, np.zeros(3), np.zeros((3, 3)))[None])
     np.testing.assert_allclose(point[0], [2.0, *[2e-4 / 3] * 3, *[1e-9] * 6])
+    turn = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
+    turned = inertial_about(2.0, turn @ [0.3, 0.0, -0.01], turn @ about @ turn.T)
+    np.testing.assert_allclose(link_spread(turned[None])[0], found[0])
 
 
 @pytest.mark.parametrize(

@@ -128,10 +128,11 @@ def _special(
         return {"sine": amplitude * np.cos(turn), "cosine": amplitude * np.sin(turn)}
     if name == "thermal_friction":
         return {"time_constant": float(np.exp(rng.uniform(np.log(4), np.log(60))))}
-    if name == "spring":
+    if name in ("spring", "stiffening_spring"):
         middle = (rig.reference.q[:, j].max() + rig.reference.q[:, j].min()) / 2
-        rest = middle + rng.uniform(-1.0, 1.0)
-        return {"preload": -values["stiffness"] * float(rest)}
+        rest = float(middle + rng.uniform(-1.0, 1.0))
+        linear = {"preload": -values.get("stiffness", 0.0) * rest}
+        return linear if name == "spring" else {"rest": rest}
     if name == "counterbalance":
         return {"dead_centre": float(turn - np.pi), "preload": abs(values["preload"])}
     if name == "contact":

@@ -161,7 +161,7 @@ class StiffeningHose(Stranger):
     """A hose that pulls harder the farther it is bent."""
 
     id = "stiffening_hose"
-    means: ClassVar[str] = "spring"
+    means: ClassVar[str] = "stiffening_spring"
     gains = (Quantity("level", "N·m/rad", 0.05, 0.0, 0.5, per=(1, 0)),)
     shapes = (Quantity("rest", "rad", 0.5, 0.05, 2.0),)
     equation = "τ = k · 4 sinh((q − q₀)/4)"

@@ -24,7 +24,8 @@ EQUIVALENT: Mapping[str, frozenset[str]] = {
     "viscous": frozenset({"thermal_friction"}),
     "thermal_friction": frozenset({"viscous"}),
     "torque_gain": frozenset({"saturation", "deadzone"}),
-    "spring": frozenset({"counterbalance", "torque_ripple"}),
+    "spring": frozenset({"counterbalance", "torque_ripple", "stiffening_spring"}),
+    "stiffening_spring": frozenset({"spring", "counterbalance"}),
     "counterbalance": frozenset({"spring", "torque_ripple"}),
 }
 

@@ -60,8 +60,9 @@ def inertia_fault(mass: float, about: Array) -> str:
 def link_spread(inertial: Array) -> Array:
     """Scale of each link parameter, for relative errors, shape (n, 10).
 
-    A coordinate of the centre of mass that is zero in the file may still be wrong. Its
-    scale is therefore at least a third of the link's radius of gyration.
+    A coordinate of the centre of mass that is zero in the file may still be wrong. The
+    scale is therefore the same in all directions: the distance of the centre of mass
+    from the origin, at least a third of the link's radius of gyration.
     """
     scale = np.zeros_like(inertial)
     for k in np.flatnonzero(inertial[:, 0] > 0):
@@ -69,6 +70,6 @@ def link_spread(inertial: Array) -> Array:
         own = np.trace(about) / 2
         radius = np.sqrt(max(own / mass, 1e-8))
         scale[k, 0] = mass
-        scale[k, 1:4] = mass * np.maximum(np.abs(center), radius / 3)
+        scale[k, 1:4] = mass * max(float(np.linalg.norm(center)), radius / 3)
         scale[k, 4:] = own / 2 + mass * (center @ center) + 1e-9
     return scale

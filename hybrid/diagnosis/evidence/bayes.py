@@ -5,7 +5,8 @@ import numpy as np
 from hybrid.arrays import Array
 
 _LINEAR = 0.3  # smallest ratio of two gains, for which the columns of one serve both
-PRIOR_FACTORS = 0.1, 1.0, 10.0, 100.0  # by which a prior may be wider
+# By which a prior may be wider: half decades.
+PRIOR_FACTORS = tuple(10.0 ** (k / 2) for k in range(-4, 5))
 
 
 def log_bayes(
