@@ -414,8 +414,10 @@ def test_what_mjx_on_jax_does_not_take_is_said_by_joint():
     odd = replace(
         robot, cubic=np.array([0, 0.1, 0]), quadratic=np.array([0.2, 0, 0]),
         ripple=np.array([[2, 0.1, 0, 5.0]]), falling=np.array([[0, 0.1, 0.2]]),
+        stiffening=np.array([[1, 3.0, 0.2, 0.9]]),
     )  # fmt: skip
-    curved, motors = mjx_notes(odd)
+    hose, curved, motors = mjx_notes(odd)
+    assert "spring of hinge_1, which it ignores" in hose
     assert "damping of hinge_0, hinge_1, which it ignores" in curved
     assert "friction of hinge_0, hinge_2, which it refuses" in motors
 

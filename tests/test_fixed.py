@@ -41,6 +41,7 @@ EXACT = {
     "actuator_lag": {"time": 0.02}, "transmission_coupling": {}, "gravity_tilt": {},
     "torque_ripple": {"sine": 2.0, "periods": 3.0},
     "stribeck": {"level": 2.0, "velocity": 0.3},
+    "stiffening_spring": {"stiffness": 2.0, "rest": 0.3, "knee": 0.5},
 }  # fmt: skip
 NEARLY = (
     "asymmetric_friction",
@@ -117,6 +118,33 @@ def test_what_mjcf_can_express_repeats_the_motion_of_the_plant(name):
     floor = left_behind_without_effects()
     assert before > 2 * floor, "the effect shows in motion"
     assert left_behind(model, log) < max(0.1 * before, 1.1 * floor)
+
+
+def test_stiffening_springs_of_a_file_are_kept_replaced_and_read_again(tmp_path):
+    robot, cls = arm("coman_like"), effect_classes()["stiffening_spring"]
+    first, second = (
+        cls((j,), {"stiffness": 3.0, "rest": -0.4, "knee": 0.8}) for j in (1, 3)
+    )
+    once = _built_and_read(robot, [first, second], tmp_path / "a.xml")
+    np.testing.assert_allclose(once.stiffening[:, 0], [1, 3])
+    np.testing.assert_allclose(once.stiffening[:, 1:], 2 * [[3.0, -0.4, 0.8]])
+    assert build_simulator(once).diff("a.xml") == ""
+    more = _built_and_read(once, [first], tmp_path / "b.xml")
+    assert more.stiffening[:, 0].tolist() == [1, 3, 1]
+    less = replace(more, stiffening=more.stiffening[1:])
+    again = _built_and_read(less, [], tmp_path / "c.xml")
+    np.testing.assert_allclose(again.stiffening, less.stiffening)
+    q, none = np.linspace(-1.0, 1.0, 7)[:, None] * np.ones(6), np.zeros((7, 6))
+    slope = [again.joint_torque(q + h, none, none) for h in (1e-6, -1e-6)]
+    difference = (slope[0] - slope[1]) / 2e-6
+    np.testing.assert_allclose(again.position_slope(q), difference, atol=1e-6)
+
+
+def _built_and_read(robot, effects, path):
+    made = build_simulator(robot, effects, folder=path.parent)
+    assert made.notes == ()
+    made.write(path)
+    return Robot.load(path, joints=robot.joints)
 
 
 def test_a_gear_that_twists_becomes_a_spring_behind_the_motor():

@@ -91,6 +91,14 @@ def assert_as_mujoco(text, robot, start=None):
     np.testing.assert_allclose(again, truth, rtol=0, atol=1e-9)
 
 
+def hose(numbers, length=".4", coef=-2.0, joint="b", name="t"):
+    """A tendon that pulls as a stiffening spring."""
+    return (
+        f"<tendon><fixed name='{name}' stiffness='{numbers}' springlength='{length}'>"
+        f"<joint joint='{joint}' coef='{coef}'/></fixed></tendon>"
+    )
+
+
 SPRING = "stiffness='30' springref='.4'"
 MOTOR = (
     "<actuator><motor joint='b' gear='20' armature='1e-4' damping='1e-3'/></actuator>"
@@ -111,6 +119,11 @@ MODELLED = {
     "a rotor on the sum of two joints": mjcf(
         after="<tendon><fixed armature='.3' damping='.5' frictionloss='.2'>"
         "<joint joint='b' coef='-.5'/><joint joint='a' coef='-.5'/></fixed></tendon>"
+    ),
+    "a hose": mjcf(SPRING, "ref='-.3'", after=hose("3 0 2")),
+    "two hoses": mjcf(after=hose("3 0 2") + hose("1 0 .3", joint="a", name="u")),
+    "no hose": mjcf(
+        option="<option><flag spring='disable'/></option>", after=hose("3 0 2")
     ),
     "an equality that is off": mjcf(
         after="<equality><joint joint1='a' joint2='b' active='false'/></equality>"
@@ -201,6 +214,9 @@ REFUSED = {
     "tendon 't'": mjcf(
         after=f"<tendon><fixed name='t' stiffness='3'>{ELASTIC}</fixed></tendon>"
     ),
+    "tendon 'quadratic'": mjcf(after=hose("3 1 2", name="quadratic")),
+    "tendon 'slack'": mjcf(after=hose("3 0 2", length=".1 .3", name="slack")),
+    "tendon 'cubic'": mjcf(after=hose("0 0 2", name="cubic")),
     "tendon 'rope'": mjcf(
         world=SITE,
         link=SOLID + "<site name='tip' pos='.3 0 0'/>",

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from hybrid.errors import RobotError
 from hybrid.recording.units import converted, fits, seconds

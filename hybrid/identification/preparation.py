@@ -13,6 +13,7 @@ from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
+from hybrid.effects.stiffening_spring import StiffeningSpring
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.effects.viscous import Viscous
@@ -180,9 +181,9 @@ def linear_effects(robot: Robot) -> list[Effect]:
         for j in range(robot.size)
         if not (cls is TorqueOffset and j in sprung)
     ]
-    more = (Spring, NonlinearViscous, TransmissionCoupling)
+    more = (Spring, NonlinearViscous, TransmissionCoupling, StiffeningSpring)
     found = [e for e in declared_effects(robot) if isinstance(e, more)]
-    return [*usual, *(type(e)(e.joints) for e in found)]
+    return [*usual, *(type(e)(e.joints, e.shape_values) for e in found)]
 
 
 def products_at_best_cutoff(

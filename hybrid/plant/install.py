@@ -22,7 +22,7 @@ from hybrid.robot.robot import Robot
 _OWN = (
     "dof_damping", "dof_dampingpoly", "dof_frictionloss", "jnt_stiffness",
     "qpos_spring", "dof_solref", "dof_solimp", "tendon_frictionloss",
-    "actuator_biasprm", "actuator_dynprm",
+    "tendon_stiffness", "tendon_stiffnesspoly", "actuator_biasprm", "actuator_dynprm",
 )  # fmt: skip
 
 
@@ -81,6 +81,7 @@ class Installed:
         sums = sum_tendons(model)
         single = [t for t, own, _ in sums if len(own) == 1 and own[0] in joints]
         model.tendon_frictionloss[single] = 0.0
+        model.tendon_stiffness[single] = model.tendon_stiffnesspoly[single] = 0.0
         passive = motors_of(model, driven=False)
         motors = [a for a, joint, _ in passive if joint in joints]
         for size in (0, 3, 4):  # of cogging, and of bristles' friction

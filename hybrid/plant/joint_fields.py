@@ -11,6 +11,7 @@ from hybrid.effects.armature import Armature
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
+from hybrid.effects.stiffening_spring import StiffeningSpring
 from hybrid.effects.stribeck import Stribeck
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
@@ -85,7 +86,13 @@ def declared_effects(robot: Robot) -> list[Effect]:
     values = {name: getattr(robot, name) for name in names}
     values["armature"] = robot.chain.armature
     values["preload"] = -robot.stiffness * robot.springref
-    return [*effects_of_fields(values), *curves(robot), *couplings(robot.coupled)]
+    springs = [
+        StiffeningSpring((int(j),), {"stiffness": k, "rest": rest, "knee": knee})
+        for j, k, rest, knee in robot.stiffening.tolist()
+    ]
+    return [
+        *effects_of_fields(values), *curves(robot), *couplings(robot.coupled), *springs,
+    ]  # fmt: skip
 
 
 def curves(robot: Robot) -> list[Effect]:

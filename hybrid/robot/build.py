@@ -72,6 +72,11 @@ def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
         for name in pair:
             rotor.wrap_joint(name, 1.0)
         rotor.armature, rotor.damping[0], rotor.frictionloss = inertia, damping, dry
+    for number, (j, stiffness, rest, knee) in enumerate(robot.stiffening, 1):
+        hose = spec.add_tendon(name=f"{robot.joints[int(j)]}/hose_{number}")
+        hose.wrap_joint(robot.joints[int(j)], 1.0)
+        hose.stiffness = np.array([stiffness, 0.0, stiffness / knee**2])
+        hose.springlength = np.array([rest, rest])
     return spec
 
 

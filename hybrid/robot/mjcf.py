@@ -74,6 +74,7 @@ def fields_of_mujoco(
         "falling": falling[(falling[:, 1:] > 0).all(axis=1)],
         "coupled": _coupled(model, index),
         "bristle": bristles(model, index, driven=True),
+        "stiffening": _stiffening(model, index),
         "latency": latency(model)[index],
     }
 
@@ -141,6 +142,24 @@ def sum_tendons(model: Any) -> Iterator[tuple[int, list[int], float]]:
         if fixed and np.ptp(model.wrap_prm[own]) == 0:
             ratio = abs(float(model.wrap_prm[own][0]))
             yield t, model.wrap_objid[own].tolist(), ratio
+
+
+def _stiffening(model: Any, index: list[int]) -> np.ndarray:
+    """Stiffening springs, see :class:`Robot`, from tendons on a joint, shape (K, 4)."""
+    rows = []
+    for t, own, _ in sum_tendons(model) if _enabled(model, "SPRING") else ():
+        linear, (quadratic, cubic) = (
+            model.tendon_stiffness[t], model.tendon_stiffnesspoly[t],
+        )  # fmt: skip
+        low, high = model.tendon_lengthspring[t]
+        if own[0] in index and len(own) == 1 and linear > 0 and cubic > 0:
+            if quadratic == 0 and low == high:
+                # The ratio of tendon and joint may be negative.
+                ratio = float(model.wrap_prm[model.tendon_adr[t]])
+                knee = np.sqrt(linear / cubic) / abs(ratio)
+                joint = index.index(own[0])
+                rows.append((joint, linear * ratio**2, low / ratio, knee))
+    return np.array(rows).reshape(-1, 4)
 
 
 def _coupled(model: Any, index: list[int]) -> np.ndarray:

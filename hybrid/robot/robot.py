@@ -39,7 +39,8 @@ _VECTORS = {
     "tau_max": np.inf, "damping": 0.0, "frictionloss": 0.0,
     **dict.fromkeys(_LATER, 0.0), "kp": np.nan, "kd": np.nan,
 }  # fmt: skip
-_ROWS = {"ripple": 4, "falling": 3, "coupled": 5, "bristle": 5}  # numbers in a row
+# Numbers in a row.
+_ROWS = {"ripple": 4, "falling": 3, "coupled": 5, "bristle": 5, "stiffening": 4}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -50,8 +51,10 @@ class Robot:
     joint: armature·a + damping·v + quadratic·v|v| + cubic·v³ +
     stiffness·(q − springref) + frictionloss·sgn v + knee·clip(v / knee_speed),
     ripples sine·sin(k q) + cosine·cos(k q), Stribeck friction
-    level·exp(−(v/v_s)²)·sgn v. Where one rotor turns with the sum of two joints, both
-    have inertia·(a₁ + a₂) + damping·(v₁ + v₂) + dry·sgn(v₁ + v₂).
+    level·exp(−(v/v_s)²)·sgn v, and stiffening springs, which pull with
+    stiffness·d·(1 + (d/knee)²) when they are bent by d. Where one rotor turns with the
+    sum of two joints, both have inertia·(a₁ + a₂) + damping·(v₁ + v₂) +
+    dry·sgn(v₁ + v₂).
 
     Attributes:
         name: Name in the file.
@@ -84,6 +87,9 @@ class Robot:
             friction [N·m], static less sliding friction [N·m], v_s [rad/s], and bend of
             the bristles that slide [rad]. Motors behind it have that friction; the
             torque above is without it.
+        stiffening: Declared stiffening springs, shape (K, 4): joint, stiffness
+            [N·m/rad], rest position [rad], and knee [rad], at which they pull twice as
+            hard as a linear spring.
         latency: Declared delay of commands, shape (n,), [s].
         held: Positions of joints outside the arm, [rad or m], if they differ from the
             file.
@@ -112,6 +118,7 @@ class Robot:
     falling: Array = field(default_factory=lambda: np.zeros((0, 3)))
     coupled: Array = field(default_factory=lambda: np.zeros((0, 5)))
     bristle: Array = field(default_factory=lambda: np.zeros((0, 5)))
+    stiffening: Array = field(default_factory=lambda: np.zeros((0, 4)))
     latency: Array = field(default_factory=lambda: np.zeros(0))
     held: Mapping[str, float] = field(default_factory=dict)
 
@@ -228,6 +235,9 @@ class Robot:
         for joint, sine, cosine, k in self.ripple:
             angle = k * q[:, int(joint)]
             torque[:, int(joint)] += sine * np.sin(angle) + cosine * np.cos(angle)
+        for joint, stiffness, rest, knee in self.stiffening:
+            bent = q[:, int(joint)] - rest
+            torque[:, int(joint)] += stiffness * bent * (1.0 + (bent / knee) ** 2)
         for first, second, inertia, damping, _ in self.coupled:
             pair = [int(first), int(second)]
             both = inertia * a[:, pair].sum(axis=1) + damping * v[:, pair].sum(axis=1)
@@ -256,6 +266,9 @@ class Robot:
         for joint, sine, cosine, k in self.ripple:
             angle = k * q[:, int(joint)]
             slope[:, int(joint)] += k * (sine * np.cos(angle) - cosine * np.sin(angle))
+        for joint, stiffness, rest, knee in self.stiffening:
+            bent = (q[:, int(joint)] - rest) / knee
+            slope[:, int(joint)] += stiffness * (1.0 + 3.0 * bent**2)
         return slope
 
     def with_inertial(self, inertial: Array) -> Robot:

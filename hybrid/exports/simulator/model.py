@@ -81,7 +81,7 @@ def _bare(model: DynamicModel) -> Robot:
     names = "damping", "frictionloss", "quadratic", "cubic", "stiffness", "knee"
     own: dict[str, Any] = dict.fromkeys(names, zero)
     own |= {"ripple": np.zeros((0, 4)), "falling": np.zeros((0, 3))}
-    own |= {"coupled": np.zeros((0, 5))}
+    own |= {"coupled": np.zeros((0, 5)), "stiffening": np.zeros((0, 4))}
     return replace(robot, chain=replace(robot.chain, armature=zero), **own)
 
 

@@ -10,6 +10,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody
 from hybrid.effects import Effect
 from hybrid.effects.instant import FIELDS
+from hybrid.effects.stiffening_spring import StiffeningSpring
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.transmission_coupling import TransmissionCoupling
@@ -100,7 +101,8 @@ def plan(
     ripples = [e for e in rest if mjcf and isinstance(e, TorqueRipple)]
     rotors = [e for e in rest if mjcf and isinstance(e, TransmissionCoupling)]
     motors = [e for e in rest if mjcf and e.actuator]
-    known: list[Effect] = [*ripples, *rotors, *motors]
+    springs = [e for e in rest if mjcf and isinstance(e, StiffeningSpring)]
+    known: list[Effect] = [*ripples, *rotors, *motors, *springs]
     shaped = [
         e for e in rest if mjcf and overrides(e, "edit_spec")
         and not e.fields and e not in known
@@ -108,7 +110,11 @@ def plan(
     coupled, below = coupled_rows(rotors)
     rows = [(e.joints[0], *e.gain_values, e.values["periods"]) for e in ripples]
     ripple = np.array(rows).reshape(-1, 4)
-    arm = replace(robot, chain=chain, ripple=ripple, coupled=coupled)
+    stiff = np.array([(e.joints[0], *e.values.values()) for e in springs])
+    arm = replace(
+        robot, chain=chain, ripple=ripple, coupled=coupled,
+        stiffening=stiff.reshape(-1, 4),
+    )  # fmt: skip
     new = _with_fields(arm, values, fitted)
     error = [*_friction_error(friction, values, fitted, n), *_ripple_error(ripples)]
     return Plan(

@@ -143,7 +143,8 @@ def _check(found: Robot, wanted: Robot, kind: str, fields: Sequence[str]) -> Non
     """Compare the arm in the edited file with the arm that was asked for."""
     names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"}
     names &= {*fields}
-    names |= {"ripple", "falling", "coupled"} if kind == "mjcf" else set()
+    rows = {"ripple", "falling", "coupled", "stiffening"}
+    names |= rows if kind == "mjcf" else set()
     names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
     pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names}
     chains = ["armature", "inertial", *(["gravity"] if kind == "mjcf" else [])]

@@ -133,7 +133,9 @@ def mjx_notes(robot: Robot, *, drawn: bool = False) -> list[str]:
     falls = {int(row[0]) for row in robot.falling}
     motors = falls | {int(row[0]) for row in robot.ripple}
     curved = np.flatnonzero((robot.quadratic != 0) | (robot.cubic != 0)).tolist()
+    hoses = {int(row[0]) for row in robot.stiffening}
     found: list[tuple[Collection[int], str]] = [
+        (hoses, "for MJX on JAX: stiffening of the spring of {}, which it ignores"),
         (curved, "for MJX on JAX: quadratic and cubic damping of {}, which it ignores"),
         (motors, "for MJX on JAX: ripple or falling friction of {}, which it refuses"),
     ]

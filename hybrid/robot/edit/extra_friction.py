@@ -1,6 +1,7 @@
 """Write friction and ripple that MJCF has no joint attribute for."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any
 
 import mujoco
@@ -46,9 +47,7 @@ def set_tendon(
         forces, softness = dict.fromkeys(forces, 0.0), {}
     if any(forces.values()):
         named = {"name": "+".join(joints) + ("/dry" if len(joints) == 1 else "/rotor")}
-        head = element("fixed", named | forces | softness).replace("/>", ">")
-        parts = [element("joint", {"joint": x, "coef": 1.0}) for x in joints]
-        document.append(f"<tendon>{head}{''.join(parts)}</fixed></tendon>")
+        _append_tendon(document, named | forces | softness, joints)
 
 
 def _tendons_on(
@@ -97,6 +96,34 @@ def set_passive_motors(document: Document, model: Any, old: Robot, new: Robot) -
         lugre = {"lugre": (stiffness[int(j)], 0.0, 0.0, level, speed)}
         _insert_motor(document, new.joints[int(j)], f"falling_{number}", lugre)
     _set_keyframe_bristles(document, model, new)
+
+
+def set_springs(document: Document, old: Robot, new: Robot) -> None:
+    """Write changed stiffening springs as tendons, each on one joint."""
+    kept = len(old.stiffening)
+    if not np.array_equal(old.stiffening, new.stiffening[:kept]):
+        kept = 0
+        for joint in {old.joints[int(row[0])] for row in old.stiffening}:
+            for tag, _ in _tendons_on(document, [joint]):
+                document.set(tag, {"stiffness": 0.0})
+    names = {tag.attributes.get("name") for tag in document.find("tendon", "fixed")}
+    for j, stiffness, rest, knee in new.stiffening[kept:].tolist():
+        joint = new.joints[int(j)]
+        numbered = (f"{joint}/hose_{number}" for number in count(1))
+        name = next(x for x in numbered if x not in names)
+        names.add(name)
+        cubic = [stiffness, 0.0, stiffness / knee**2]
+        given = {"name": name, "stiffness": cubic, "springlength": rest}
+        _append_tendon(document, given, [joint])
+
+
+def _append_tendon(
+    document: Document, given: Mapping[str, Any], joints: Iterable[str]
+) -> None:
+    """Add a tendon that is as long as the sum of the joints' positions."""
+    head = element("fixed", given).replace("/>", ">")
+    parts = [element("joint", {"joint": x, "coef": 1.0}) for x in joints]
+    document.append(f"<tendon>{head}{''.join(parts)}</fixed></tendon>")
 
 
 def remove_passive_motors(document: Document, joint: str) -> None:

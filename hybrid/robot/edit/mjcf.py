@@ -27,6 +27,7 @@ from hybrid.robot.edit.extra_friction import (
     set_couplings,
     set_knee_friction,
     set_passive_motors,
+    set_springs,
     set_tendon,
 )
 from hybrid.robot.mjcf import joint_numbers, mujoco_tree
@@ -64,6 +65,7 @@ def edit_mjcf(document: Document, change: Edit, old: Robot) -> tuple[str, ...]:
         _structure(document, model, new, change.structure)
     set_couplings(document, model.opt.timestep, old, new)
     set_passive_motors(document, model, old, new)
+    set_springs(document, old, new)
     set_knee_friction(document, model.opt.timestep, old, new)
     return notes
 
