@@ -86,12 +86,12 @@ def test_the_advised_experiment_splits_the_class(tmp_path):
 
 
 @pytest.mark.study
-def test_friction_that_may_fall_when_warm_is_measured_again_when_warm():
+def test_friction_that_may_fall_when_warm_gets_an_experiment_that_shows_it():
     result, _ = poorly_recorded("viscous", 0, 0.5)
-    assert "thermal_friction" in class_at(result, 0)  # warming up for ever
+    assert "thermal_friction" in class_at(result, 0)
     advised = advise(result, np.random.default_rng(0))
     (advice,) = [x for x in advised if "thermal_friction" in x.splits]
-    assert "when the drives are warm" in advice.experiment
+    assert advice.separation > -np.log(1.0 - result.search.prior.in_class)
 
 
 def pair():
