@@ -17,7 +17,7 @@ from hybrid.diagnosis.answer.motion_gap import (
 )
 from hybrid.diagnosis.answer.regions import locate
 from hybrid.diagnosis.answer.unseen import left_unseen
-from hybrid.diagnosis.evidence.bayes import log_bayes
+from hybrid.diagnosis.evidence.bayes import PRIOR_FACTORS, log_bayes
 from hybrid.diagnosis.evidence.candidates import (
     candidate,
     candidates,
@@ -256,8 +256,8 @@ def test_screening_is_the_evidence_of_each_block_beside_the_base():
         expected = []
         for x in blocks:
             wider = [
-                evidence(np.hstack([own, f * x])) - np.log(f)
-                for f in (1.0, 10.0, 100.0)
+                evidence(np.hstack([own, f * x])) - abs(np.log(f))
+                for f in PRIOR_FACTORS
             ]
             expected.append(max(wider) - evidence(own))
         found = made.worth(np.array(less, dtype=int), precision, lower, [None] * 3)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from hybrid.diagnosis.answer.unseen import left_unseen
-from hybrid.diagnosis.evidence.bayes import log_bayes
+from hybrid.diagnosis.evidence.bayes import PRIOR_FACTORS, log_bayes
 from hybrid.diagnosis.evidence.contacts import _OF_ALL, _Stretch
 from hybrid.diagnosis.evidence.evidence import Evidence
 from hybrid.diagnosis.evidence.noise import low_frequency_excess, without_events
@@ -95,7 +95,7 @@ def test_screening_and_trying_add_what_solving_both_says():
     (screened,) = evidence.screen(base, [index[2]], [lower[2]])
     tried, gains, factor = evidence.trial(base, blocks[2], std[2], lower[2])
     without, added = evidence.solve(base).evidence, {}
-    for wider in (0.1, 1.0, 10.0, 100.0):
+    for wider in PRIOR_FACTORS:
         evidence.scale_prior(index[2], wider)
         whole = evidence.solve(every)
         added[wider] = whole.evidence - without - abs(np.log(wider))

@@ -322,11 +322,13 @@ def test_each_decade_of_a_wider_prior_is_ten_times_less_probable():
     H, s = np.array([[[400.0]]]), np.array([[2000.0]])
     precision, lower = np.array([[1.0]]), np.array([[-np.inf]])
     worth, gains, wider = heavy_tailed(H, s, precision, lower)
-    alone = {w: log_bayes(H, s, precision / w**2, lower)[0][0] for w in (1, 10, 100)}
-    best = max(alone, key=lambda w: alone[w] - np.log(w))
-    assert wider.tolist() == [best] and best == 10
-    assert worth[0] == pytest.approx(alone[10] - np.log(10.0))
-    assert gains[0, 0] == pytest.approx(2000.0 / 400.01)
+    widths = np.logspace(-2, 2, 9)  # half decades
+    alone = [log_bayes(H, s, precision / w**2, lower)[0][0] for w in widths]
+    alone -= np.abs(np.log(widths))
+    best = widths[np.argmax(alone)]
+    assert wider == pytest.approx([best]) and best == pytest.approx(10.0**0.5)
+    assert worth[0] == pytest.approx(max(alone))
+    assert gains[0, 0] == pytest.approx(2000.0 / 400.1)
 
 
 def test_names_are_listed_and_shares_are_of_all_that_is_explained():

@@ -311,7 +311,7 @@ def test_unknown_laws_give_way_to_effects_that_help_unseen():
     assert same.causes == [A, C] and same._certain == [A]
 
 
-def test_usual_effects_are_tried_with_four_widths_of_their_prior(monkeypatch):
+def test_usual_effects_are_tried_with_all_widths_of_their_prior(monkeypatch):
     @dataclass(frozen=True)
     class Usual:
         place: tuple
@@ -322,10 +322,9 @@ def test_usual_effects_are_tried_with_four_widths_of_their_prior(monkeypatch):
     at = Course()
     at.gap, at.pool = None, SimpleNamespace(without=())
     at.cause = lambda c: (c.place[0], c.prior_factor)
-    scores = {0.1: -1.0, 1.0: 0.0, 10.0: 5.0, 100.0: 3.0}
-    at.score = lambda causes: scores[causes[-1][1]]
-    assert at._with_usual([A]) == [A, ("c", 10.0)]
-    assert at._with_usual([]) == [("a", 10.0), ("c", 10.0)]
+    at.score = lambda causes: -abs(np.log10(causes[-1][1] / 3.0))
+    assert at._with_usual([A]) == [A, ("c", 10.0**0.5)]
+    assert at._with_usual([]) == [("a", 10.0**0.5), ("c", 10.0**0.5)]
 
 
 # --- losses ---------------------------------------------------------------------------
