@@ -65,7 +65,7 @@ def section(cls: type[Effect], picture: str) -> str:
         f"| {x.name} | {x.unit or '–'} | {x.typical:g} | {x.lower:g} to {x.upper:g} |"
         for x in (*cls.gains, *cls.shapes)
     )
-    image = f"![Torque of {cls.id} over speed]({picture})\n\n" if picture else ""
+    image = f"![Torque of {cls.id}]({picture})\n\n" if picture else ""
     return (
         f"## {cls.id.replace('_', ' ')}\n\n{markdown(sentence)}\n\n"
         f"    {cls.equation}\n\n{image}"
@@ -77,10 +77,14 @@ def section(cls: type[Effect], picture: str) -> str:
 
 
 def draw(cls: type[Effect]) -> bytes | None:
-    """Torque of an effect over speed; None where no single torque stands for it."""
+    """Torque of an effect over the variable of which it is most nearly a function.
+
+    None where no single torque stands for the effect.
+    """
     robot = Robot.load("planar")
     t = np.linspace(0.0, 4.0, 2001)
-    waves = np.stack([0.9 * np.sin(2 * t), 1.1 * np.sin(3 * t + 0.5)], axis=1)
+    second = 0.9 * np.sin(3 * t + 0.5) + 0.2 * np.sin(7 * t)
+    waves = np.stack([0.9 * np.sin(2 * t), second], axis=1)
     v = np.gradient(waves, t, axis=0)
     zero = np.zeros_like(v)
     warm = np.full_like(v, 40.0)
@@ -96,8 +100,17 @@ def draw(cls: type[Effect]) -> bytes | None:
         return None
     figure = new_figure(height=2.2)
     axes = figure.subplots()
-    axes.plot(v[100:-100, 1], torque[100:-100], color=BLUE, linewidth=1.2)
+    inner = slice(100, -100)
+    variables = {
+        "speed [rad/s]": v, "position [rad]": waves, "acceleration [rad/s²]": motion.a,
+    }  # fmt: skip
+    along = {label: x[inner, 1] for label, x in variables.items()}
+    torque = torque[inner]
+    label = min(
+        along, key=lambda x: np.abs(np.diff(torque[np.argsort(along[x])])).sum()
+    )
+    axes.plot(along[label], torque, color=BLUE, linewidth=1.2)
     clean(axes, grid="both")
-    axes.set_xlabel("speed [rad/s]")
+    axes.set_xlabel(label)
     axes.set_ylabel("torque [N·m]")
     return figure_bytes(figure)
