@@ -148,17 +148,13 @@ def _stiffening(model: Any, index: list[int]) -> np.ndarray:
     """Stiffening springs, see :class:`Robot`, from tendons on a joint, shape (K, 4)."""
     rows = []
     for t, own, _ in sum_tendons(model) if _enabled(model, "SPRING") else ():
-        linear, (quadratic, cubic) = (
-            model.tendon_stiffness[t], model.tendon_stiffnesspoly[t],
-        )  # fmt: skip
-        low, high = model.tendon_lengthspring[t]
-        if own[0] in index and len(own) == 1 and linear > 0 and cubic > 0:
-            if quadratic == 0 and low == high:
-                # The ratio of tendon and joint may be negative.
-                ratio = float(model.wrap_prm[model.tendon_adr[t]])
-                knee = np.sqrt(linear / cubic) / abs(ratio)
-                joint = index.index(own[0])
-                rows.append((joint, linear * ratio**2, low / ratio, knee))
+        linear, (low, high) = model.tendon_stiffness[t], model.tendon_lengthspring[t]
+        quadratic, cubic = model.tendon_stiffnesspoly[t]
+        stiffens = linear > 0 and quadratic == 0 and cubic > 0 and low == high
+        if stiffens and len(own) == 1 and own[0] in index:
+            ratio = float(model.wrap_prm[model.tendon_adr[t]])  # may be negative
+            knee = np.sqrt(linear / cubic) / abs(ratio)
+            rows.append((index.index(own[0]), linear * ratio**2, low / ratio, knee))
     return np.array(rows).reshape(-1, 4)
 
 
