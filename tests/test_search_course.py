@@ -209,6 +209,28 @@ def test_causes_that_do_not_help_unseen_are_refused():
     assert certain.causes == [A, B]
 
 
+class Returning(Course):
+    """A course that adds a cause wherever it is not refused."""
+
+    def _add(self):
+        new = [
+            c for c in (A, B) if c not in self.causes and c.place not in self.refused
+        ]
+        self.causes = [*self.causes, *new]
+        return bool(new)
+
+
+@pytest.mark.parametrize(
+    ("helps", "kept"), [([0.0, 1.0, 1.0], [A, B]), ([0.0, 0.0, 1.0], [A])]
+)
+def test_a_cause_that_failed_beside_another_noise_is_tried_once_more(helps, kept):
+    at = Returning(noise=[True, True, False])
+    at.unseen_gain = lambda causes: {c: helps.pop(0) if c is B else 1.0 for c in causes}
+    at._converge()
+    assert at.causes == kept
+    assert at.refused == ({B.place} if kept == [A] else frozenset())
+
+
 def run(causes, **answers):
     """Whether a search that found some causes starts anew from the usual ones."""
     at = Course(causes)

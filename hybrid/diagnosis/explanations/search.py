@@ -12,7 +12,7 @@ import numpy as np
 
 from hybrid.arrays import Array, Index, Mask
 from hybrid.diagnosis.evidence.bayes import PRIOR_FACTORS
-from hybrid.diagnosis.evidence.candidates import Candidate, Term, usual
+from hybrid.diagnosis.evidence.candidates import Candidate, Place, Term, usual
 from hybrid.diagnosis.evidence.refine import refine
 from hybrid.diagnosis.evidence.shapes import price
 from hybrid.diagnosis.explanations.belief import Belief, beliefs
@@ -183,17 +183,23 @@ class Search(Moves):
     def _converge(self, most: float = np.inf) -> None:
         """Improve the explanation until all of its causes help on test samples.
 
-        It stops as soon as there are more causes than ``most``.
+        It stops as soon as there are more causes than ``most``. What did not help
+        beside another noise is tried once more.
         """
+        failed, again = set[Place](), set[Place]()
         while True:
             self._improve(most)
             if len(self.causes) > most:
                 break
             gains = self.unseen_gain(self.causes)
             bad = [c for c in self._doubtful() if gains[c] <= 0]
-            if not (bad or self._reset_file_error() or self.update_noise(self.causes)):
-                break
+            if not (bad or self._reset_file_error()):
+                if not self.update_noise(self.causes):
+                    break
+                self.refused -= failed - again
+                again |= failed
             self.causes = [c for c in self.causes if c not in bad]
+            failed |= {c.place for c in bad}
             self.refused |= {c.place for c in bad}
 
     def _improve(self, most: float = np.inf) -> None:
