@@ -131,8 +131,9 @@ def _special(
     if name in ("spring", "stiffening_spring"):
         middle = (rig.reference.q[:, j].max() + rig.reference.q[:, j].min()) / 2
         rest = float(middle + rng.uniform(-1.0, 1.0))
-        linear = {"preload": -values.get("stiffness", 0.0) * rest}
-        return linear if name == "spring" else {"rest": rest}
+        if name == "stiffening_spring":
+            return {"rest": rest}
+        return {"preload": -values["stiffness"] * rest}
     if name == "counterbalance":
         return {"dead_centre": float(turn - np.pi), "preload": abs(values["preload"])}
     if name == "contact":

@@ -5,7 +5,7 @@ import numpy as np
 from hybrid.arrays import Array
 
 _LINEAR = 0.3  # smallest ratio of two gains, for which the columns of one serve both
-# By which a prior may be wider: half decades.
+# By which a prior may be wider, or narrower below 1: half decades.
 PRIOR_FACTORS = tuple(10.0 ** (k / 2) for k in range(-4, 5))
 
 

@@ -110,11 +110,9 @@ def plan(
     coupled, below = coupled_rows(rotors)
     rows = [(e.joints[0], *e.gain_values, e.values["periods"]) for e in ripples]
     ripple = np.array(rows).reshape(-1, 4)
-    stiff = np.array([(e.joints[0], *e.values.values()) for e in springs])
-    arm = replace(
-        robot, chain=chain, ripple=ripple, coupled=coupled,
-        stiffening=stiff.reshape(-1, 4),
-    )  # fmt: skip
+    rows = [(e.joints[0], *e.gain_values, *e.shape_values.values()) for e in springs]
+    stiff = np.array(rows).reshape(-1, 4)
+    arm = replace(robot, chain=chain, ripple=ripple, coupled=coupled, stiffening=stiff)
     new = _with_fields(arm, values, fitted)
     error = [*_friction_error(friction, values, fitted, n), *_ripple_error(ripples)]
     return Plan(

@@ -1,4 +1,4 @@
-"""Write friction and ripple that MJCF has no joint attribute for."""
+"""Write friction, ripple and springs that MJCF has no joint attribute for."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import count
