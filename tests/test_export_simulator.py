@@ -18,6 +18,7 @@ from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.payload import Payload
 from hybrid.effects.presliding import Presliding
+from hybrid.effects.stiffening_spring import StiffeningSpring
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.torque_ripple import TorqueRipple
 from hybrid.effects.viscous import Viscous
@@ -129,6 +130,8 @@ def test_exported_c_beside_an_exported_simulator_moves_as_the_callback(tmp_path)
 
 RIPPLE = TorqueRipple((1,), {"sine": 0.6, "cosine": 0.3, "periods": 3.0})
 
+HOSE = StiffeningSpring((1,), {"stiffness": 3.0, "rest": 0.2, "knee": 0.7})
+
 
 @pytest.mark.parametrize(
     "effects",
@@ -136,9 +139,10 @@ RIPPLE = TorqueRipple((1,), {"sine": 0.6, "cosine": 0.3, "periods": 3.0})
         [RIPPLE],
         [RIPPLE.at({"fastest": 1.0})],
         [LoadFriction((1,), {"coefficient": 0.2})],
+        [HOSE],
         [Viscous((0,), {"coefficient": 3.0}), Coulomb((1,), {"level": 0.7})],
     ],
-    ids=["ripple", "ripple that fades", "friction with load", "friction"],
+    ids=["ripple", "ripple that fades", "friction with load", "hose", "friction"],
 )
 def test_a_file_and_what_it_misses_are_the_model(effects, tmp_path):
     robot = Robot.load(MODELS / "planar.xml")
@@ -153,6 +157,25 @@ def test_a_file_and_what_it_misses_are_the_model(effects, tmp_path):
     found = file + missing_model(model, made).predict(motion)
     off = np.abs(found - model.predict(motion))[fast]
     assert off.max() < 1e-6
+
+
+def test_a_stiffening_spring_of_the_file_pulls_once_where_the_model_is_installed(
+    tmp_path,
+):
+    robot = Robot.load(MODELS / "planar.xml")
+    model = model_of(robot, [*declared(robot), HOSE])
+    model_simulator(model, folder=tmp_path).write(tmp_path / "arm.xml")
+    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    data, pulls = mujoco.MjData(mj), []
+    data.qpos[1] = 1.1
+    for installed in (False, True):
+        added = install(mj, data, model) if installed else None
+        mujoco.mj_forward(mj, data)
+        pulls.append(float(data.qfrc_passive[1]))
+        if added:
+            added.remove()
+    bent = 1.1 - 0.2
+    assert pulls == pytest.approx(2 * [-3.0 * bent * (1.0 + (bent / 0.7) ** 2)])
 
 
 def test_friction_with_a_memory_holds_a_joint_in_a_running_simulation():
