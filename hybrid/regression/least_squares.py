@@ -21,6 +21,7 @@ ESTIMATORS: tuple[Estimator, ...] = ("ls", "wls", "irls")
 
 RANK = 1e-13  # smallest eigenvalue that is not zero, as a share of the largest
 _ROUNDING = 1e-12  # variance that is rounding error, as a share of the torque's power
+_NOTHING = 1e-12  # length of a column that is rounding error, over the longest one's
 _TOLERANCE = 1e-6  # relative change of the unknowns at which the iteration ends
 _MOST_ITERATIONS = 60
 # Smallest diagonal of a Cholesky factor that proves full rank. Rounding errors of later
@@ -125,9 +126,13 @@ def _optimum(A: Array, b: Array, lower: Array | None, prior: Prior | None) -> Ar
 
 
 def unit_columns(A: Array) -> tuple[Array, Array]:
-    """The normal matrix of columns scaled to unit length, and their lengths, (p,)."""
+    """The normal matrix of columns scaled to unit length, and their lengths, (p,).
+
+    A column that is only rounding error counts as zero, and as infinitely long: scaled
+    to unit length, it would be noise that differs from one processor to the next.
+    """
     size = np.sqrt(np.clip(np.diag(A), 0.0, None))
-    size = np.where(size > 0, size, 1.0)
+    size = np.where(size > _NOTHING * size.max(initial=0.0), size, np.inf)
     return A / size / size[:, None], size
 
 

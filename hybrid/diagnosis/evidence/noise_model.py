@@ -17,6 +17,7 @@ from hybrid.diagnosis.evidence.noise import (
     without_events,
 )
 from hybrid.diagnosis.prior import Prior
+from hybrid.regression.least_squares import unit_columns
 from hybrid.signals import autocorrelation_time
 
 _LESS = 0.9  # of a variance: a fall that is worth another search
@@ -200,7 +201,7 @@ def _flexible(evidence: Evidence, i: int, index: Index) -> tuple[Array, float, f
     parts = [(columns[:, a:b], gap[a:b]) for a, b in evidence.fold_edges(i)]
     G = np.array([x @ x.T for x, _ in parts])
     c = np.array([x @ y for x, y in parts])
-    size = np.sqrt(np.maximum(np.diagonal(G.sum(axis=0)), 1e-300))
+    size = unit_columns(G.sum(axis=0))[1]
     G /= np.outer(size, size)
     c /= size
     A, b, folds = G.sum(axis=0), c.sum(axis=0), list(zip(G, c, strict=True))

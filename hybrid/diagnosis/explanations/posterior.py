@@ -168,7 +168,8 @@ class Posterior:
         is that of a kind which each place may have with one half: a file without
         friction lacks it at all joints.
         """
-        places = {c.place for c in causes if c.candidate is not None}
+        # In their order: that of a set would differ from run to run, and with it a sum.
+        places = dict.fromkeys(c.place for c in causes if c.candidate is not None)
         count, less = Counter(kind for kind, _ in places), 0.0
         for kind, k in count.items():
             one, every = self._kind_odds(self._places(effect_classes()[kind]))
