@@ -53,7 +53,6 @@ def rigid(robot, motion):
         ("torque_ripple", {"periods": 3.0}, [np.sin(1.5), np.cos(1.5)]),
         ("stribeck", {"velocity": 0.8, "exponent": 1.0}, [-np.exp(-2.5)]),
         ("stribeck", {"velocity": 0.8, "exponent": 2.0}, [-np.exp(-6.25)]),
-        ("thermal_friction", {}, [-2.0]),
         (
             "counterbalance",
             {"dead_centre": 0.2, "crank_ratio": 0.4},

@@ -94,29 +94,69 @@ def test_presliding_friction_is_a_spring_first_and_coulomb_friction_far_on():
 
 # --- thermal friction ---------------------------------------------------------------
 
-
-def viscous_part(temperature=None, t=0.0):
-    law = effect("thermal_friction", cold=1.0)
-    one = np.ones(1)
-    state = JointState(t * one, one, 2 * one, one, one, one, temperature)
-    (column,) = law.law(state, **law.shape_values)
-    return column[0] / 2
+ENDLESS = 1e3  # rad²/s: no loss of these motions heats that much
 
 
-def test_cold_friction_fades_with_the_clock():
-    assert viscous_part(t=0.0) == 1.0
-    assert viscous_part(t=300.0) == pytest.approx(1 / np.e)
+def weight(motion, **values):
+    """Weight of the cold friction of the first joint along a motion, shape (N,)."""
+    law = effect("thermal_friction", cold=1.0, **values)
+    columns = law.columns(motion, RigidBody(random_arm(1).chain, motion))
+    return columns[:, 0, 0] / motion.v[:, 0]
+
+
+def turning(speed, samples=3000, step=0.01):
+    """A joint that turns with a speed of the clock, [rad/s]."""
+    t = step * np.arange(samples)
+    v = speed(t)[:, None]
+    return Motion(t, v, v, v, 0 * v, np.ones(samples, dtype=bool))
+
+
+def test_without_loss_cold_friction_fades_with_the_clock():
+    motion = turning(lambda t: 1e-3 + 0 * t)
+    left = weight(motion, time_constant=20.0, warm_up=ENDLESS)
+    np.testing.assert_allclose(left, np.exp(-motion.t / 20.0), rtol=1e-6)
+
+
+@pytest.mark.parametrize("time_constant", [8.0, 1e4])
+def test_cold_friction_solves_its_heat_balance(time_constant):
+    motion = turning(lambda t: 0.4 + 1.3 * np.sin(1.7 * t) ** 2, 20001, 0.001)
+    left = weight(motion, time_constant=time_constant, warm_up=5.0)
+    h = -np.log(left)
+    heat = 1.0 / time_constant + left * motion.v[:, 0] ** 2 / 5.0
+    np.testing.assert_allclose(np.gradient(h, motion.t)[5:-5], heat[5:-5], rtol=1e-2)
+
+
+def test_an_arm_at_rest_stays_cold_however_long_the_log_lasts():
+    still = turning(lambda t: np.where(t < 20.0, 1e-6, 1.0))
+    left = weight(still, time_constant=1e4, warm_up=2.0)
+    assert left[1999] > 0.99 > 0.3 > left[-1]
+    assert (np.diff(left) <= 0.0).all()
 
 
 def test_cold_friction_follows_a_measured_temperature_instead():
-    assert viscous_part(np.array([20.0]), t=1e4) == 1.0
-    assert viscous_part(np.array([40.0])) == pytest.approx(1 / np.e)
-    robot = random_arm(3)
-    motion = replace(motion_of(robot), temperature=np.full((20, robot.size), 40.0))
-    columns = effect("thermal_friction", 1).columns(
-        motion, RigidBody(robot.chain, motion)
-    )
-    np.testing.assert_allclose(columns[:, 0, 0], motion.v[:, 1] / np.e)
+    motion = motion_of(random_arm(1))
+    for kelvin, rest in ((0.0, 1.0), (20.0, 1 / np.e)):
+        warm = replace(motion, temperature=np.full((20, 1), 20.0 + kelvin))
+        np.testing.assert_allclose(weight(warm, warm_up=0.1), rest)
+    law = effect("thermal_friction")
+    assert [x.name for x in law.shapes_along([warm])] == ["temperature_scale"]
+    (scale,) = set(law.shapes) - {*law.shapes_along([motion])}
+    assert scale.name == "temperature_scale"
+
+
+@given(seed=st.integers(0, 1000), loss=st.floats(0.01, 100.0))
+def test_a_motion_at_once_warms_like_one_sample_after_the_other(seed, loss):
+    motion = motion_of(random_arm(1), 50, seed)
+    law = effect("thermal_friction", cold=2.0, warm_up=loss, time_constant=7.0)
+    memory, told = None, []
+    states = motion.t, motion.q[:, 0], motion.v[:, 0], motion.a[:, 0]
+    for t, q, v, a in zip(*states, strict=True):
+        state = JointState(t, q, v, a, np.sign(v), 0.0)
+        memory = law.begin([state]) if memory is None else memory
+        torque, memory = law.at_instant([state], memory, 0.01)
+        told.append(torque[0])
+    columns = law.columns(motion, RigidBody(random_arm(1).chain, motion))
+    np.testing.assert_allclose(told, 2.0 * columns[:, 0, 0], rtol=1e-9)
 
 
 # --- counterbalance -----------------------------------------------------------------

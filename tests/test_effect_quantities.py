@@ -81,6 +81,7 @@ stribeck              velocity          0.05     0.001    1        1     rad/s
 stribeck              exponent          2        0.5      3        1     -
 thermal_friction      cold              0.04     0        1        τ/v   N·m·s/rad
 thermal_friction      time_constant     300      5        10000    1     s
+thermal_friction      warm_up           30       0.1      1000     v²    rad²/s
 thermal_friction      temperature_scale 20       5        100      1     K
 threshold_friction    coulomb_positive  0.04     0        0.5      τ     N·m
 threshold_friction    coulomb_negative  0.04     0        0.5      τ     N·m
@@ -106,7 +107,7 @@ viscous               coefficient       0.05     0        1        τ/v   N·m·
 """
 PER = {
     "1": (0, 0), "τ": (1, 0), "1/τ": (-1, 0), "τ/v": (1, -1), "τ/v²": (1, -2),
-    "τ/v³": (1, -3),
+    "τ/v³": (1, -3), "v²": (0, 2),
 }  # fmt: skip
 ROWS = [line.split() for line in TABLE.strip().splitlines()]
 
@@ -172,7 +173,7 @@ def test_a_fit_treats_an_effect_as_it_says(name):
     rough = {"backlash": 0.4, "elasticity": 0.4}
     assert effect.rough == rough.get(name, 0.0)
     assert effect.exact_fields.items() <= effect.fields.items()
-    distinct = {"contact": 10.0, "torque_ripple": 6.0}
+    distinct = {"contact": 10.0, "torque_ripple": 6.0, "thermal_friction": 4.0}
     assert effect.choices == distinct.get(name)
     inexact = {
         "backlash": {"half_width": 0.1},

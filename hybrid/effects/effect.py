@@ -212,6 +212,11 @@ class Effect(InPlant, Instant, ABC):
         (shape,) = (s for s in self.shapes if s.name == name)
         return self.at({name: getattr(shape.scaled(scale), end)}), law
 
+    @classmethod
+    def shapes_along(cls, motions: Sequence[Motion]) -> tuple[Quantity, ...]:
+        """Shapes on which its torque along motions depends."""
+        return cls.shapes
+
     def reaches(self, size: int) -> tuple[int, ...]:
         """The r joints whose torque it changes, of ``size``.
 

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 from hybrid.arrays import Array
 from hybrid.effects.state import JointState
 from hybrid.errors import EffectError
+from hybrid.signals import Motion
 
 Scalar = Any  # float, array or symbol
 Memory = tuple[Scalar, ...]
@@ -72,6 +73,10 @@ class Instant:
     def begin(self, joints: Sequence[JointState]) -> Memory:
         """Memory before the first instant, given the state at it."""
         return ()
+
+    def remembered(self, motion: Motion) -> Sequence[Array]:
+        """Its memory at every sample of a motion of the arm, shape (N,) each."""
+        raise self._not_exportable("its memory along a motion is not stated")
 
     def at_instant(
         self, joints: Sequence[JointState], memory: Memory, step: Scalar

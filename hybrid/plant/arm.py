@@ -130,10 +130,11 @@ def encoder_readings(
 def check_simulable(effects: Sequence[Effect], size: int) -> None:
     """Refuse effects that a plant of n joints cannot simulate."""
     for effect in effects:
-        if not (has_hook(effect) or isinstance(effect, JointEffect)):
+        lawful = isinstance(effect, JointEffect) or bool(effect.memory)
+        if not (has_hook(effect) or lawful):
             raise EffectError(
-                f"{effect.id} cannot be simulated: it is no JointEffect and overrides "
-                f"none of {', '.join(_HOOKS)}"
+                f"{effect.id} cannot be simulated: it is no JointEffect, remembers "
+                f"nothing, and overrides none of {', '.join(_HOOKS)}"
             )
         if not all(0 <= j < size for j in effect.joints):
             raise EffectError(

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hybrid.arrays import Array, Mask
-from hybrid.effects import Effect, JointEffect, JointState, Port
+from hybrid.effects import Effect, JointEffect, JointState, Memory, Port
 from hybrid.plant.arm import has_hook, overrides
 
 Side = Literal["dry", "drive", "link"]
@@ -49,8 +49,10 @@ class Laws:
         dry: Torque of dry friction in the direction of motion, shape (B, n), [N·m].
         drive: Other torque of the drives, shape (B, n), [N·m].
         link: Torque of the environment on the links, shape (B, n), [N·m].
-        resisting: Effects with memory, of the drives.
+        resisting: Effects of the drives that remember their torque.
         resisted: Their torque at the last step, shape (B, k) each, [N·m].
+        remembering: Effects of the drives that remember something else.
+        remembered: Their memory of the last step, (B, 1) each value; None at first.
     """
 
     def __init__(self, effects: Sequence[Effect], batch: int, size: int) -> None:
@@ -58,12 +60,14 @@ class Laws:
         self._groups = [_group(group, size) for group in _grouped(laws)]
         self.resisting = [e for e in effects if overrides(e, "resist")]
         self.resisted = [np.zeros((batch, len(e.joints))) for e in self.resisting]
+        self.remembering = [e for e in effects if e.memory and not has_hook(e)]
+        self.remembered: list[Memory | None] = [None for _ in self.remembering]
         self.dry = np.zeros((batch, size))
         self.drive = np.zeros((batch, size))
         self.link = np.zeros((batch, size))
 
     def __len__(self) -> int:
-        return len(self._groups) + len(self.resisting)
+        return len(self._groups) + len(self.resisting) + len(self.remembering)
 
     def evaluate(self, motor: JointState, link: JointState, step: float = 0.0) -> None:
         """Set the three sums from the states of motors and links, shape (B, n).
@@ -80,6 +84,12 @@ class Laws:
             if 0.0 < step < np.inf:
                 self.resisted[k] = effect.resist(part(motor, j), self.resisted[k], step)
             self.drive[:, j] += self.resisted[k]
+        for k, effect in enumerate(self.remembering):
+            joints = [part(motor, [j]) for j in effect.joints]
+            memory = self.remembered[k] or effect.begin(joints)
+            passed = step if step < np.inf else 0.0
+            torque, self.remembered[k] = effect.at_instant(joints, memory, passed)
+            self.drive[:, list(effect.joints)] += np.hstack(torque)
 
 
 def _grouped(laws: Sequence[JointEffect]) -> list[list[JointEffect]]:

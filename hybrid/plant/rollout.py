@@ -123,6 +123,13 @@ class _FreeTrajectories(Lockstep):
             windows.first([e.torque(m, b) for m, b in pairs])
             for e in self._laws.resisting
         ]
+        self._laws.remembered = [
+            tuple(
+                windows.first(each)[:, None]
+                for each in zip(*(e.remembered(m) for m in seen), strict=True)
+            )
+            for e in self._laws.remembering
+        ]
 
     def _check_speed(self) -> None:
         self.diverged |= ~(np.abs(self.v).max(axis=1) < _DIVERGED)

@@ -129,10 +129,12 @@ def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effe
     scale = gap.scales[joints[-1]]
     shapes = [s.scaled(scale) for s in cls.shapes]
     fastest = max(float(np.abs(m.v[:, joints[-1]]).max()) for m in gap.motions)
+    shown = [s.name for s in cls.shapes_along(gap.motions)]
     axes = [
         np.clip([fastest], s.lower, s.upper) if s.name == FASTEST.name
-        else _axis(s, _COARSE if k else _GRID)
-        for k, s in enumerate(shapes)
+        else _axis(s, _GRID if s.name == shown[0] else _COARSE) if s.name in shown
+        else np.array([s.typical])
+        for s in shapes
     ]  # fmt: skip
     if cls.steep:
         # Its shapes stay at typical values here, and are fitted on the shortlist.

@@ -162,7 +162,8 @@ def shape_units(gap: Gap, effect: Effect) -> list[float]:
 
 def _ranges(gap: Gap, effect: Effect) -> list[Range]:
     scale = gap.scales[effect.joints[-1]]
-    shapes = [s.scaled(scale) for s in effect.shapes if not s.whole]
+    along = effect.shapes_along(gap.motions)
+    shapes = [s.scaled(scale) for s in along if not s.whole]
     return [Range(_near(s, effect.values[s.name])) for s in shapes]
 
 

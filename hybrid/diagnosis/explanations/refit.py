@@ -78,7 +78,7 @@ def refit(search: Search) -> tuple[Effect, ...]:
             more = np.maximum(far / HALF_WIDTH / np.sqrt(np.diag(covariance)), 1.0)
             covariance *= np.outer(more, more)
         covariance[np.diag_indices(len(here))] += _model_variance(gap, effect)
-        certain.append(_reported(effect, covariance))
+        certain.append(_reported(gap, effect, covariance))
     return delivered(certain)
 
 
@@ -109,7 +109,7 @@ def _profile_range(
     Source: Venzon and Moolgavkar 1988, doi 10.2307/2347496 (profile likelihood).
     """
     gap, middle = evidence.gap, normalised_shapes(evidence.gap, c.effect)
-    names, size = _names(c.effect), len(middle)
+    names, size = _names(gap, c.effect), len(middle)
     rng, wide = np.random.default_rng(0), _WIDER**2 * covariance
     near = rng.multivariate_normal(middle, wide, _DRAWS, check_valid="ignore")
     points = np.concatenate([[middle], near, rng.random((_DRAWS, size))])
@@ -127,20 +127,22 @@ def _profile_range(
 
 def _model_variance(gap: Gap, effect: Effect) -> Array:
     """Variance of values by errors of the law, and of times by sampling, shape (p,)."""
-    law = [effect.inexact.get(x, 0.0) * effect.values[x] for x in _names(effect)]
-    shapes = [x for x in effect.shapes if not x.whole]
+    names = _names(gap, effect)
+    law = [effect.inexact.get(x, 0.0) * effect.values[x] for x in names]
+    shapes = [x for x in effect.shapes if x.name in names]
     times = [gap.period**2 / 12.0 if x.unit == "s" else 0.0 for x in shapes]
     return np.asarray(np.square(law) + np.pad(times, (len(effect.gains), 0)))
 
 
-def _names(effect: Effect) -> list[str]:
-    """Names of the gains, and of the shapes that are no whole numbers."""
-    return [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
+def _names(gap: Gap, effect: Effect) -> list[str]:
+    """Names of the gains, and of the shapes that are fitted."""
+    values = (*effect.gains, *effect.shapes_along(gap.motions))
+    return [x.name for x in values if not x.whole]
 
 
-def _reported(effect: Effect, covariance: Array) -> Effect:
+def _reported(gap: Gap, effect: Effect, covariance: Array) -> Effect:
     """The effect as it is reported, with standard deviations (delta method)."""
-    names, law = _names(effect), effect.as_reported()
+    names, law = _names(gap, effect), effect.as_reported()
     if law is effect:
         std = np.sqrt(np.diag(covariance))
         return law.at({}, dict(zip(names, map(float, std), strict=True)))
