@@ -834,17 +834,19 @@ def test_squares_are_solved_from_cross_products():
 
 
 def test_values_have_errors_of_their_law_and_times_of_a_sample():
-    gap = SimpleNamespace(period=0.02)
+    gap = SimpleNamespace(period=0.02, motions=[SimpleNamespace(temperature=None)])
     law = Stribeck((0,), {"level": 2.0, "velocity": 0.3})
-    assert _names(law) == ["level", "velocity", "exponent"]
-    inexact = [law.inexact.get(x, 0.0) * law.values[x] for x in _names(law)]
+    names = _names(gap, law)
+    assert names == ["level", "velocity", "exponent"]
+    inexact = [law.inexact.get(x, 0.0) * law.values[x] for x in names]
     np.testing.assert_allclose(_model_variance(gap, law), np.square(inexact))
     timed = next(
         x for x in effect_classes().values()
         if any(s.unit == "s" and not s.whole for s in x.shapes) and x.scope == "joint"
     )((0,))  # fmt: skip
     variance = _model_variance(gap, timed)
-    for k, s in enumerate(timed.shapes, len(timed.gains)):
+    shapes = timed.shapes_along(gap.motions)
+    for k, s in enumerate(shapes, len(timed.gains)):
         own = timed.inexact.get(s.name, 0.0) * timed.values[s.name]
         time = 0.02**2 / 12.0 if s.unit == "s" else 0.0
         assert variance[k] == pytest.approx(own**2 + time)

@@ -56,6 +56,19 @@ def test_a_column_that_is_zero_has_no_gain():
     np.testing.assert_allclose(pseudo_solve(A, b), [0.5, 0.0])
 
 
+@given(seed=st.integers(0, 1000), rounding=st.integers(0, 1000))
+@settings(max_examples=30)
+def test_a_column_of_rounding_errors_has_no_gain(seed, rounding):
+    """Else its noise would be fitted, another one on each processor."""
+    rng = np.random.default_rng(seed)
+    X, y = 10.0 * rng.standard_normal((50, 4)), rng.standard_normal(50)
+    noise = 1e-15 * np.random.default_rng(rounding).standard_normal((50, 1))
+    both = np.hstack([X, noise])
+    found = pseudo_solve(both.T @ both, both.T @ y)
+    assert found[4] == 0.0
+    np.testing.assert_allclose(found[:4], pseudo_solve(X.T @ X, X.T @ y), rtol=1e-9)
+
+
 def regression(seed=0, gain=(0.0, 0.0), joints=1):
     """Terms of one joint, a wave beside them, and data of others that know a term."""
     rng = np.random.default_rng(seed)

@@ -441,6 +441,18 @@ def test_a_joint_before_sliding_is_a_spring(turntable):
     assert 0.5 < q[-1] / 0.02 and np.diff(q).min() > -1e-6
 
 
+def test_a_gear_warms_as_it_turns(turntable):
+    values = {"cold": 4.0, "time_constant": 1e4, "warm_up": 0.5}
+    friction = effect("thermal_friction", **values)
+    (log,) = run(turntable, [friction], motions(turntable, duration=4.0))
+    rest, v, _ = residual(turntable, log)
+    heat = np.cumsum(v[:, 0] ** 2) * np.diff(log.t).mean()
+    moving = np.abs(v[:, 0]) > 0.2 * np.abs(v).max()
+    weight = rest[moving, 0] / v[moving, 0] / 4.0
+    np.testing.assert_allclose(weight, 1.0 / (1.0 + heat[moving] / 0.5), atol=0.02)
+    assert weight[0] > 0.9 > 0.5 > weight[-1]
+
+
 def test_a_contact_pushes_for_its_time_only(pendulum):
     # Origin of the link's frame: the joint itself, so that a force has no lever.
     touch = effect("contact", moment_y=2.0, force_z=30.0, start=0.4, duration=0.3)

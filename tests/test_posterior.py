@@ -616,7 +616,8 @@ def test_deviations_follow_a_law_to_the_one_that_is_reported(effect):
     """By its slopes, however they are changed: the delta method."""
     names = [x.name for x in (*effect.gains, *effect.shapes) if not x.whole]
     root = np.random.default_rng(0).normal(0.0, 1e-3, (len(names), len(names)))
-    found, law = _reported(effect, root @ root.T), effect.as_reported()
+    gap = SimpleNamespace(motions=[])
+    found, law = _reported(gap, effect, root @ root.T), effect.as_reported()
     assert found.values == law.values
 
     def at(k, step):
