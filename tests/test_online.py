@@ -13,6 +13,7 @@ from hybrid.effects import effects_from_text
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.thermal_friction import ThermalFriction
 from hybrid.effects.threshold_friction import ThresholdFriction
 from hybrid.effects.transmission_coupling import TransmissionCoupling
 from hybrid.errors import IdentificationError, RecordingError
@@ -331,6 +332,8 @@ def test_what_a_model_foretells_does_not_change_it(band):
 def test_what_cannot_be_tracked_is_refused():
     with pytest.raises(IdentificationError, match="delay changes signals"):
         OnlineIdentifier(arm(), [Delay((2,))], rate=RATE)
+    with pytest.raises(IdentificationError, match="thermal_friction warms with use"):
+        OnlineIdentifier(arm(), [ThermalFriction((2,))], rate=RATE)
     with pytest.raises(IdentificationError, match="above 0"):
         OnlineIdentifier(arm(), [Coulomb((0,))], rate=0.0)
 

@@ -9,6 +9,7 @@ from mujoco_inverse import file_inverse_dynamics
 from pendulum import pendulum, swings
 from scipy.integrate import solve_ivp
 
+from hybrid.dynamics import RigidBody
 from hybrid.effects import JointState
 from hybrid.effects.actuator_lag import ActuatorLag
 from hybrid.effects.armature import Armature
@@ -20,6 +21,7 @@ from hybrid.effects.encoder_offset import EncoderOffset
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.spring import Spring
 from hybrid.effects.stribeck import Stribeck
+from hybrid.effects.thermal_friction import ThermalFriction
 from hybrid.effects.torque_gain import TorqueGain
 from hybrid.effects.torque_offset import TorqueOffset
 from hybrid.effects.transmission_coupling import TransmissionCoupling
@@ -234,6 +236,33 @@ def test_a_replay_under_the_torque_of_a_motion_is_that_motion(effects):
         moved = np.ptp(logs[m].q[k : k + 16], axis=0)
         off = np.abs(found[:, b] - logs[m].q[k : k + 16]).max(axis=0)
         assert (off < 0.02 * moved + 1e-3).all(), off
+
+
+def test_a_replay_that_starts_late_starts_as_warm_as_the_arm_was():
+    robot = pendulum(2)
+    gear = ThermalFriction((1,), {"cold": 3.0, "time_constant": 50.0, "warm_up": 0.3})
+    logs = []
+    for m in swings(2, count=2, seconds=2.0, widest=0.3):
+        tau = m.tau.copy()
+        tau[:, [1]] += gear.torque(m, RigidBody(robot.chain, m))
+        logs.append(replace(m, tau=tau))
+    found = rollout(robot, [gear], logs, WINDOWS, step=0.002)
+    assert gear.remembered(logs[1])[0][130] > 1.0  # friction is less than half by then
+    for b, (m, k) in enumerate(zip(WINDOWS.motion, WINDOWS.sample, strict=True)):
+        moved = np.ptp(logs[m].q[k : k + 16], axis=0)
+        off = np.abs(found[:, b] - logs[m].q[k : k + 16]).max(axis=0)
+        assert (off < 0.02 * moved + 1e-3).all(), off
+
+
+def test_heat_stays_when_the_clock_does_not_run_on():
+    gear = ThermalFriction((0,), {"cold": 6.0, "warm_up": 0.05})
+    laws, one = Laws([gear], 1, 1), np.ones((1, 1))
+    state = JointState(0 * one, one, one, one, one, one)
+    heats = []
+    for step in (np.inf, 0.1, 0.0, -0.1, 0.1):
+        laws.evaluate(state, state, step)
+        heats.append(laws.remembered[0][0].item())
+    np.testing.assert_allclose(heats, [0.0, 2.0, 2.0, 2.0, 4.0])
 
 
 @pytest.mark.parametrize(

@@ -82,8 +82,10 @@ class Effect(InPlant, Instant, ABC):
     composite: ClassVar[bool] = False
     # Where it may occur several times, with shapes that are read off the residual: at a
     # joint, with some ``periods`` a turn; or in a recording, with ``start``,
-    # ``duration`` and ``recording``. And the logarithm of the number of such shapes.
+    # ``duration`` and ``recording``.
     repeats: ClassVar[Literal["", "joint", "recording"]] = ""
+    # Logarithm of the number of its shapes that differ, where all of them are not
+    # fitted at once.
     choices: ClassVar[float | None] = None
     # Whether it is determined by the motion rather than by the torque.
     shows_in_motion: ClassVar[bool] = False
@@ -214,7 +216,7 @@ class Effect(InPlant, Instant, ABC):
 
     @classmethod
     def shapes_along(cls, motions: Sequence[Motion]) -> tuple[Quantity, ...]:
-        """Shapes on which its torque along motions depends."""
+        """Shapes on which its torque along motions depends; only these are fitted."""
         return cls.shapes
 
     def reaches(self, size: int) -> tuple[int, ...]:

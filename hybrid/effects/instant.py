@@ -76,7 +76,9 @@ class Instant:
 
     def remembered(self, motion: Motion) -> Sequence[Array]:
         """Its memory at every sample of a motion of the arm, shape (N,) each."""
-        raise self._not_exportable("its memory along a motion is not stated")
+        raise EffectError(
+            f"{self.id} cannot be replayed: it does not state what it remembers"
+        )
 
     def at_instant(
         self, joints: Sequence[JointState], memory: Memory, step: Scalar

@@ -31,9 +31,9 @@ class ThermalFriction(Effect):
 
     The weight w = exp(−h) falls from 1 towards 0 with the rise h of the temperature,
     relative to the one that thins oil by a factor e. If no temperature is measured, the
-    drive's electronics heat the oil evenly, and its friction by what it loses:
+    drive heats the oil evenly while it is on, and its friction by what it loses:
     dh/dt = 1/t_c + w·v²/E. As this is linear in 1/w, it has a closed form. With E = ∞,
-    w follows the clock. The arm's start is cold; cooling by the air is left out.
+    w follows the clock. Each recording starts cold; cooling by the air is left out.
     """
 
     id = "thermal_friction"
@@ -42,7 +42,7 @@ class ThermalFriction(Effect):
     memory = ("heat",)
     warms = True
     becomes = "time_constant", "upper", "viscous"
-    choices = 4.0  # e² values that differ of each shape; motions depend on two of three
+    choices = 4.0  # as of two shapes: motions show two of the three at most
     gains = (Quantity("cold", "N·m·s/rad", 0.04, 0.0, 1.0, per=(1, -1)),)
     shapes = (*_BY_HEAT, _BY_TEMPERATURE)
     equation = "τ = F · w · v, w = exp(−(T − 20 °C)/T_c), or dw/dt = −w/t_c − w² v²/E"
@@ -57,7 +57,7 @@ class ThermalFriction(Effect):
         return (_BY_TEMPERATURE,) if measured else _BY_HEAT
 
     def at_limit(self, scale: Scale) -> tuple[Self, str] | None:
-        """See :meth:`Effect.at_limit`: neither the motor nor the loss heats."""
+        """See :meth:`Effect.at_limit`: neither the drive nor the loss heats."""
         limit = super().at_limit(scale)
         most = {x.name: x.scaled(scale).upper for x in _BY_HEAT}
         return limit and (limit[0].at(most), limit[1])

@@ -59,8 +59,8 @@ class OnlineIdentifier:
 
     Args:
         robot: The arm.
-        effects: Effects with their initial values; they must add torque. Shapes are
-            tracked unless ``shape_prior`` is 0.
+        effects: Effects with their initial values; they must add the torque of a
+            state. Shapes are tracked unless ``shape_prior`` is 0.
         rate: Samples per second, [Hz].
         inertial: Initial link parameters, shape (n, 10); the robot file's by default.
         cutoff: Cut-off of columns and torque, [Hz]; inf if samples contain speed and
@@ -94,10 +94,11 @@ class OnlineIdentifier:
     ) -> None:
         if not (rate > 0 and cutoff > 0 and memory > 0 and prior > 0):
             raise IdentificationError("rate, cutoff, memory and prior must be above 0")
-        for effect in (e for e in effects if e.changes_signals):
+        for effect in (e for e in effects if e.changes_signals or e.warms):
+            why = "changes signals" if effect.changes_signals else "warms with use"
             raise IdentificationError(
-                f"{effect.id} changes signals and cannot be tracked sample by sample; "
-                "valid are effects that add torque"
+                f"{effect.id} {why} and cannot be tracked sample by sample; "
+                "valid are effects that add the torque of a state"
             )
         self.robot, self.rate = robot, rate
         # Of gains with dependent columns, those that are zero are no unknowns.

@@ -87,7 +87,7 @@ class Laws:
         for k, effect in enumerate(self.remembering):
             joints = [part(motor, [j]) for j in effect.joints]
             memory = self.remembered[k] or effect.begin(joints)
-            passed = step if step < np.inf else 0.0
+            passed = step if 0.0 < step < np.inf else 0.0
             torque, self.remembered[k] = effect.at_instant(joints, memory, passed)
             self.drive[:, list(effect.joints)] += np.hstack(torque)
 

@@ -166,8 +166,7 @@ def fitted_values(gap: Gap, effect: Effect) -> list[Value]:
     if effect.scope == "arm":
         joint = "arm"
     found = []
-    shapes = effect.shapes_along(gap.motions)
-    for k, x in enumerate((*effect.gains, *shapes)):
+    for k, x in enumerate((*effect.gains, *effect.shapes_along(gap.motions))):
         if x.inner or x.name == FASTEST.name:
             continue
         value, std = effect.values[x.name], effect.std.get(x.name, 0.0)

@@ -132,8 +132,8 @@ def _grid(cls: type[Effect], joints: tuple[int, ...], gap: Gap) -> Iterator[Effe
     shown = [s.name for s in cls.shapes_along(gap.motions)]
     axes = [
         np.clip([fastest], s.lower, s.upper) if s.name == FASTEST.name
-        else _axis(s, _GRID if s.name == shown[0] else _COARSE) if s.name in shown
-        else np.array([s.typical])
+        else np.array([s.typical]) if s.name not in shown
+        else _axis(s, _COARSE if shown.index(s.name) else _GRID)
         for s in shapes
     ]  # fmt: skip
     if cls.steep:
