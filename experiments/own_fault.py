@@ -13,7 +13,7 @@ IN_MODEL = ("coulomb", "viscous", "armature", "gravity_tilt", "payload", "link_i
 IN_DRIVE = ("torque_gain", "torque_offset", "saturation", "deadzone", "torque_ripple",
             "actuator_lag")  # fmt: skip
 IN_TORQUE = ("nonlinear_viscous", "stribeck", "asymmetric_friction", "load_friction",
-             "thermal_friction", "presliding", "spring", "contact")  # fmt: skip
+             "thermal_friction", "friction_lag", "presliding", "spring", "contact")  # fmt: skip
 IN_LOG = ("delay", "encoder_offset", "encoder_eccentricity")
 IN_COMMAND = ("command_latency", "controller_gain")
 KINDS = ("none", *IN_MODEL, *IN_DRIVE, *IN_TORQUE, *IN_LOG, *IN_COMMAND)
@@ -40,7 +40,7 @@ class Fault:
 
     def begin(self) -> None:
         """Forget what was."""
-        self.lagging, self.bristle = 0.0, 0.0
+        self.lagging, self.bristle, self.past = 0.0, 0.0, list[float]()
 
     def change(self, spec: mujoco.MjSpec, robot: Robot, inertia: float) -> None:
         """Change a model by it, if it is one of the model.
@@ -105,6 +105,7 @@ class Fault:
             "asymmetric_friction": {"level": 0.03 * R},
             "load_friction": {"coefficient": 0.12},
             "thermal_friction": {"cold": 0.1 * R / V, "time_constant": 6.0},
+            "friction_lag": {"coefficient": 0.1 * R / V},
             "presliding": {"level": 0.06 * R, "distance": 0.02},
             "spring": {"stiffness": 0.08 * R, "preload": -0.016 * R},
             "delay": {"time": 0.008},
@@ -154,6 +155,9 @@ class Fault:
                 return float(-0.12 * abs(load) * sign)
             case "thermal_friction":
                 return float(-0.1 * R / V * v * np.exp(-t / 6.0))
+            case "friction_lag":
+                self.past.append(v)
+                return -0.1 * R / V * self.past[-1 - round(0.06 / step) :][0]
             case "presliding":
                 self.bristle += step * (v - abs(v) * self.bristle / 0.02)
                 return float(-0.06 * R * self.bristle / 0.02)

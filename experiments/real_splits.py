@@ -62,10 +62,10 @@ def main() -> None:
     args, rows = parser.parse_args(), []
     warnings.simplefilter("ignore", HybridWarning)  # columns of the logs not needed
     command = "python experiments/real_splits.py DATA_FOLDER"
-    ratios = {}
+    left = {}
     for arm in ARMS:
         each = ratios(arm, args.data)
-        ratios[arm.name] = each.tolist()
+        left[arm.name] = each.tolist()
         for k, row in enumerate(each):
             rows.append(
                 (arm.name, f"{k + 1}", *(f"{x:.2f}" for x in (*row, mean(row))))
@@ -76,7 +76,7 @@ def main() -> None:
     header = "arm", "quarter held out", *(f"joint {j + 1}" for j in range(6)), "mean"
     lead = (__doc__ or "").split("\n\n")[1]
     text = f"{lead}\n\n{markdown_table(Table(header, tuple(rows)))}"
-    write_tables(args.out, text, command, ratios=ratios)
+    write_tables(args.out, text, command, ratios=left)
 
 
 if __name__ == "__main__":

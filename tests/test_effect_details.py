@@ -131,8 +131,12 @@ def test_a_limit_is_suggested_where_clearly_more_is_asked_for_than_delivered():
 
 
 @pytest.mark.parametrize(
-    "name", ["presliding", "thermal_friction", "saturation", "stiffening_spring"]
-)
+    "name",
+    [
+        "presliding", "thermal_friction", "friction_lag", "saturation",
+        "stiffening_spring",
+    ],
+)  # fmt: skip
 def test_an_effect_is_the_law_that_it_becomes_at_its_limit(name):
     """To a few per cent, up to a factor; the plainer law has a size of its own."""
     scale = Scale(30.0, 2.0)

@@ -144,19 +144,48 @@ def test_cold_friction_follows_a_measured_temperature_instead():
     assert scale.name == "temperature_scale"
 
 
-@given(seed=st.integers(0, 1000), loss=st.floats(0.01, 100.0))
-def test_a_motion_at_once_warms_like_one_sample_after_the_other(seed, loss):
+# --- friction with a memory ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["thermal_friction", "friction_lag"])
+@given(seed=st.integers(0, 1000), share=st.floats(0.01, 0.99))
+def test_a_motion_at_once_is_one_sample_after_the_other(name, seed, share):
     motion = motion_of(random_arm(1), 50, seed)
-    law = effect("thermal_friction", cold=2.0, warm_up=loss, time_constant=7.0)
-    memory, told = None, []
+    law = effect(name)
+    ends = ((x.name, (x.lower, x.upper)) for x in law.shapes_along([motion]))
+    shapes = {x: low * (high / low) ** share for x, (low, high) in ends}
+    law = law.at({law.gains[0].name: 2.0, **shapes})
+    memory, told, again = None, [], []
+    past = zip(*law.remembered(motion), strict=True)
     states = motion.t, motion.q[:, 0], motion.v[:, 0], motion.a[:, 0]
-    for t, q, v, a in zip(*states, strict=True):
+    for t, q, v, a, known in zip(*states, past, strict=True):
         state = JointState(t, q, v, a, np.sign(v), 0.0)
         memory = law.begin([state]) if memory is None else memory
         torque, memory = law.at_instant([state], memory, 0.01)
         told.append(torque[0])
+        again.append(law.at_instant([state], known, 0.0)[0][0])
     columns = law.columns(motion, RigidBody(random_arm(1).chain, motion))
-    np.testing.assert_allclose(told, 2.0 * columns[:, 0, 0], rtol=1e-9)
+    for torques in (told, again):
+        np.testing.assert_allclose(torques, 2 * columns[:, 0, 0], rtol=1e-9, atol=1e-12)
+
+
+@given(turns=st.floats(0.1, 3.0), time=st.floats(0.006, 0.49))
+def test_lagging_friction_follows_a_sine_less_and_later(turns, time):
+    w = 2 * np.pi * turns
+    motion = turning(lambda t: np.sin(w * t), 4000, 0.002)
+    (u,) = effect("friction_lag", time=time).columns(motion, None).T[0]
+    expected = np.sin(w * motion.t - np.arctan(w * time)) / np.hypot(1.0, w * time)
+    late = motion.t > 10 * time
+    np.testing.assert_allclose(u[late], expected[late], atol=0.01)
+
+
+@given(seed=st.integers(0, 1000), time=st.floats(0.006, 0.49))
+def test_lagging_friction_takes_energy_from_every_motion_that_began_at_rest(seed, time):
+    rng = np.random.default_rng(seed)
+    steps = rng.normal(size=400).cumsum() * np.minimum(np.arange(400) / 40, 1.0)
+    motion = turning(lambda t: steps, 400, 0.005)
+    (u,) = effect("friction_lag", time=time).columns(motion, None).T[0]
+    assert np.cumsum(u * motion.v[:, 0]).min() >= -1e-9
 
 
 # --- counterbalance -----------------------------------------------------------------

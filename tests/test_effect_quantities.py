@@ -50,6 +50,8 @@ elasticity            damping           0.02     0        1        τ/v   N·m·
 encoder_eccentricity  sine              0.004    -0.05    0.05     1     rad
 encoder_eccentricity  cosine            0.002    -0.05    0.05     1     rad
 encoder_offset        offset            0.01     -0.2     0.2      1     rad
+friction_lag          coefficient       0.05     0        1        τ/v   N·m·s/rad
+friction_lag          time              0.05     0.005    0.5      1     s
 gravity_tilt          roll              0.02     -0.2     0.2      1     rad
 gravity_tilt          pitch             0.01     -0.2     0.2      1     rad
 load_friction         coefficient       0.1      0        0.6      1     -

@@ -856,10 +856,10 @@ def test_the_vocabulary_is_complete():
     expected = """
         actuator_lag armature asymmetric_friction backlash command_latency contact
         controller_gain coulomb counterbalance deadzone delay elasticity
-        encoder_eccentricity encoder_offset gravity_tilt link_inertia load_friction
-        nonlinear_viscous payload presliding saturation spring stiffening_spring
-        stribeck thermal_friction torque_gain torque_offset torque_ripple
-        transmission_coupling viscous
+        encoder_eccentricity encoder_offset friction_lag gravity_tilt link_inertia
+        load_friction nonlinear_viscous payload presliding saturation spring
+        stiffening_spring stribeck thermal_friction torque_gain torque_offset
+        torque_ripple transmission_coupling viscous
     """
     assert set(expected.split()) <= set(EFFECTS)
     assert list(EFFECTS) == sorted(EFFECTS)

@@ -453,6 +453,17 @@ def test_a_gear_warms_as_it_turns(turntable):
     assert weight[0] > 0.9 > 0.5 > weight[-1]
 
 
+def test_friction_of_a_plant_follows_its_speed_late(turntable):
+    friction = effect("friction_lag", coefficient=4.0, time=0.1)
+    (log,) = run(turntable, [friction], motions(turntable, duration=4.0))
+    rest, v, _ = residual(turntable, log)
+    step, u = np.diff(log.t).mean(), v[0, 0]
+    late = [u := u + step / 0.1 * (x - u) for x in v[:, 0]]
+    inner = slice(100, -100)
+    np.testing.assert_allclose(rest[inner, 0], 4.0 * np.array(late)[inner], atol=0.1)
+    assert np.abs(late - v[:, 0])[inner].max() > 0.2
+
+
 def test_a_contact_pushes_for_its_time_only(pendulum):
     # Origin of the link's frame: the joint itself, so that a force has no lever.
     touch = effect("contact", moment_y=2.0, force_z=30.0, start=0.4, duration=0.3)

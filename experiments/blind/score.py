@@ -21,8 +21,9 @@ EQUIVALENT: Mapping[str, frozenset[str]] = {
     # One becomes the other at an end of a shape's range.
     "coulomb": frozenset({"presliding", "deadzone", "stribeck"}),
     "presliding": frozenset({"coulomb"}),
-    "viscous": frozenset({"thermal_friction"}),
+    "viscous": frozenset({"thermal_friction", "friction_lag"}),
     "thermal_friction": frozenset({"viscous"}),
+    "friction_lag": frozenset({"viscous"}),
     "torque_gain": frozenset({"saturation", "deadzone"}),
     "spring": frozenset({"counterbalance", "torque_ripple", "stiffening_spring"}),
     "stiffening_spring": frozenset({"spring", "counterbalance"}),

@@ -7,6 +7,7 @@ import numpy as np
 from hybrid.arrays import Array
 from hybrid.effects import Body, Effect, JointState, Memory, Port, Quantity, Scalar
 from hybrid.signals import Motion
+from hybrid.signals.filters import lagged
 
 
 class ActuatorLag(Effect):
@@ -37,7 +38,7 @@ class ActuatorLag(Effect):
         if time >= 0:
             slope: Array = np.gradient(torque, t, axis=0)
             return torque + time * slope
-        return _low_pass(torque, float(t[1] - t[0]), -time)
+        return lagged(torque, step=float(t[1] - t[0]), time=-time)
 
     def begin(self, joints: Sequence[JointState]) -> Memory:
         """All zero: the first entry says that there is no earlier instant."""
@@ -69,14 +70,3 @@ class ActuatorLag(Effect):
     def measure(self, t: Array, signals: dict[str, Array]) -> dict[str, Array]:
         """Filter the log, if it lags; a lagging drive logs the commanded torque."""
         return signals if self.values["time"] >= 0 else super().measure(t, signals)
-
-
-def _low_pass(x: Array, step: float, time: float) -> Array:
-    """First-order filter (trapezoidal rule) that starts in steady state."""
-    from scipy.signal import lfilter
-
-    share = step / (2.0 * time + step)
-    pole = (2.0 * time - step) / (2.0 * time + step)
-    rest = (1.0 - share) * x[:1]
-    filtered: Array = lfilter([share, share], [1.0, -pole], x, axis=0, zi=rest)[0]
-    return filtered

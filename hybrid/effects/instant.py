@@ -75,7 +75,10 @@ class Instant:
         return ()
 
     def remembered(self, motion: Motion) -> Sequence[Array]:
-        """Its memory at every sample of a motion of the arm, shape (N,) each."""
+        """Its memory at every sample of a motion of the arm, shape (N,) each.
+
+        From it :meth:`at_instant` has the torque of that sample after a step of zero.
+        """
         raise EffectError(
             f"{self.id} cannot be replayed: it does not state what it remembers"
         )

@@ -142,6 +142,19 @@ def central_difference(x: Array, *, rate: float) -> Array:
     return np.asarray(slope)
 
 
+def lagged(x: Array, *, step: float, time: float) -> Array:
+    """A signal after a lag of first order that begins in steady state, (N, ...).
+
+    The step between samples and the lag's time constant are in [s]; trapezoidal rule.
+    """
+    from scipy.signal import lfilter
+
+    share = step / (2.0 * time + step)
+    pole = (2.0 * time - step) / (2.0 * time + step)
+    begin = (1.0 - share) * x[:1]
+    return np.asarray(lfilter([share, share], [1.0, -pole], x, axis=0, zi=begin)[0])
+
+
 def passes_all(rate: float, cutoff: float) -> bool:
     """Tell whether a cut-off in [Hz] is so near Nyquist that all passes."""
     if not cutoff > 0:
