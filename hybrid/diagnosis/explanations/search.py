@@ -273,13 +273,17 @@ class Search(Moves):
         return not helps
 
     def _replace_limits(self) -> bool:
-        """Exchange causes for the laws that they have become; whether there are any."""
+        """Exchange causes for the laws that they have become; whether there are any.
+
+        A law has to help on test samples as well.
+        """
         before = list(self.causes)
-        for belief in self.beliefs:
-            law = belief.become
-            # Two causes may become the same law.
-            if law is not None and law not in self.causes:
-                self.causes[self.causes.index(belief.cause)] = law
+        for cause, law in ((b.cause, b.become) for b in self.beliefs):
+            if law is None or law in self.causes:  # two causes may become the same law
+                continue
+            causes = [law if c is cause else c for c in self.causes]
+            if self.unseen_gain(causes)[law] > 0:
+                self.causes = causes
         return self.causes != before
 
     def _replace_improbable(self) -> bool:
