@@ -326,6 +326,7 @@ def test_friction_is_fitted_again_until_a_round_gains_nothing():
     stage.best = SimpleNamespace(squares=np.array([[9.0]]))
     stage.solver = SimpleNamespace(cost=np.sum)
     stage._friction_candidates = lambda _: [{0: []}]
+    stage._lag_candidates = lambda _: []
     stage._fitted = lambda *_: SimpleNamespace(squares=np.array([[next(costs)]]))
     stage.friction_stage()
     assert stage.best.squares == 5.0 and next(costs) == 4.0

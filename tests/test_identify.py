@@ -15,6 +15,7 @@ from hybrid.errors import (
     RecordingError,
 )
 from hybrid.identification import identify, validate
+from hybrid.plant.scale import joint_scales
 from hybrid.regression.least_squares import ESTIMATORS
 from hybrid.signals import motion_from_recording
 
@@ -184,6 +185,22 @@ def logs():
 def two_stages(logs):
     """A fit, and what it warned of."""
     return quiet(identify, arm("planar"), logs, stages=("rigid", "friction"))
+
+
+def test_friction_that_lags_is_found_at_its_joint_alone(two_stages):
+    assert not any(e.id == "friction_lag" for e in two_stages[0].model.effects)
+    robot = arm("planar")
+    law = effect_class("friction_lag").typical((1,), joint_scales(robot), time=0.15)
+    law = law.at({"coefficient": 3.0 * law.values["coefficient"]})
+    late = simulate(robot, [law], trajectories=4, duration=6, seed=0)
+    fit, _ = quiet(identify, robot, late, stages=("rigid", "friction"))
+    (found,) = [e for e in fit.model.effects if e.id == "friction_lag"]
+    assert found.joints == (1,)
+    assert found.values["coefficient"] == pytest.approx(law.values["coefficient"], 0.1)
+    assert 0.1 < found.values["time"] < 0.22  # of five that are tried
+    noise = two_stages[0].held_out["+ friction"][1]
+    assert fit.held_out["+ friction"][1] == pytest.approx(noise, rel=0.05)
+    assert fit.held_out["rigid"][1] > 1.5 * noise
 
 
 def test_equal_data_give_equal_models(logs, two_stages):

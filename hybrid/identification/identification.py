@@ -15,6 +15,7 @@ from hybrid.arrays import Array
 from hybrid.dynamics import RigidBody, simulated_torque
 from hybrid.effects import Effect
 from hybrid.effects.coulomb import Coulomb
+from hybrid.effects.friction_lag import FrictionLag
 from hybrid.effects.load_friction import LoadFriction
 from hybrid.effects.nonlinear_viscous import NonlinearViscous
 from hybrid.effects.threshold_friction import ThresholdFriction
@@ -40,6 +41,7 @@ from hybrid.signals import Motion
 _FRICTION = (
     Coulomb, Viscous, NonlinearViscous, ThresholdFriction, LoadFriction, TorqueOffset,
 )  # fmt: skip
+_LAGS = 5  # times of frictional lag that are tried, in equal ratios
 _MOST_ROUNDS = 4
 _TOLERANCE = 0.005  # relative fall of the held-out error at which iterations end
 # Largest torque of a learned remainder, as a share of the rated torque. If it is ever
@@ -98,9 +100,13 @@ class Identification:
         return self.solver.rms(self.best.squares)
 
     def friction_stage(self) -> None:
-        """Fit nonlinear friction, then all terms again, until the error settles."""
+        """Fit nonlinear friction, then all terms again, until the error settles.
+
+        After that friction may follow the speed late.
+        """
         if not self._extend(self._friction_candidates, tolerance=_TOLERANCE):
             self._leave_out("friction: the threshold law does not lower the error")
+        self._extend(self._lag_candidates, tolerance=_TOLERANCE, tried=_LAGS)
 
     def ripple_stage(self) -> None:
         """Fit torque ripple, which repeats with position."""
@@ -243,6 +249,26 @@ class Identification:
             kept = [e for e in self._replaceable(start, j) if not self._is_friction(e)]
             candidates[j] = [*kept, *friction]
         return [candidates]
+
+    def _lag_candidates(self, start: Solution) -> list[Terms]:
+        """The effects at each joint, with the frictional lag that lowers its error."""
+        (time,) = FrictionLag.shapes
+        options, found = [], []
+        for lag in np.geomspace(time.lower, time.upper, _LAGS).tolist():
+            terms: dict[int, list[Effect]] = {}
+            for j in np.flatnonzero(~self.data.resting).tolist():
+                own = self._replaceable(start, j)
+                own = [e for e in own if not isinstance(e, FrictionLag)]
+                terms[j] = [*own, FrictionLag((j,), {time.name: lag})]
+            options.append(terms)
+            found.append(self._fitted(start, terms))
+        best = np.argmin([self.solver.total(x.squares) for x in found], axis=0)
+        lagging = {
+            e.joints[0] for k, x in enumerate(found) for e in x.effects
+            if isinstance(e, FrictionLag) and best[e.joints[0]] == k
+            and any(e.gain_values)
+        }  # fmt: skip
+        return [{j: options[best[j]][j] for j in lagging}]
 
     def _ripple_candidates(self, start: Solution) -> list[Terms]:
         """The effects at each joint, with ripples that lower its error.
