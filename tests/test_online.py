@@ -8,7 +8,7 @@ from arms import MODELS, random_arm, random_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hybrid.dynamics import inverse_dynamics, regressor, regressor_law
+from hybrid.dynamics import RigidBody, inverse_dynamics, regressor, regressor_law
 from hybrid.effects import effects_from_text
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
@@ -26,7 +26,7 @@ from hybrid.plant import random_fourier
 from hybrid.plant.scale import joint_scales
 from hybrid.regression.problem import build_problem
 from hybrid.robot import Robot
-from hybrid.signals import Sampler
+from hybrid.signals import Motion, Sampler
 from hybrid.signals.streaming import LocalPolynomial
 
 RATE = 250.0
@@ -177,6 +177,24 @@ def test_columns_of_an_instant_are_the_slopes_of_the_torque(branches, monkeypatc
         np.testing.assert_allclose(
             J[:, k], slope, atol=2e-3 * np.abs(slope).max() + 1e-6
         )
+
+
+@pytest.mark.parametrize("kind", ["friction_lag", "presliding"])
+def test_columns_remember_the_blocks_before(kind):
+    (effect,) = effects_from_text(f"{kind}:2", arm().joints, joint_scales(arm()))
+    tracker = OnlineIdentifier(arm(), [effect], rate=RATE)
+    problem, theta = tracker.problem, tracker.theta
+    columns = InstantColumns(arm(), problem, RowLayout(problem, tracked=True), 5)
+    ref = random_fourier(arm(), duration=1.0, rate=100.0, seed=0)
+    states, found = (ref.t, ref.q, ref.v, ref.a), []
+    ((unknown, _, _),) = problem.gains
+    for first in range(0, 100, 5):
+        for _ in columns.fill(tuple(x[first : first + 5] for x in states), theta):
+            pass
+        found.append(columns.rows[:, effect.joints[0], unknown].copy())
+    motion = Motion(*states, 0 * ref.q, np.ones(len(ref.t), dtype=bool))
+    whole = effect.columns(motion, RigidBody(arm().chain, motion))[:100, 0, 0]
+    np.testing.assert_allclose(np.concatenate(found), whole, rtol=1e-9, atol=1e-12)
 
 
 # --- what it does ---------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid.arrays import Array
 from hybrid.dynamics import Law, RigidBody, Tape, regressor_law
-from hybrid.effects import Effect, JointEffect, JointState
+from hybrid.effects import Effect, JointEffect, JointState, Memory
 from hybrid.errors import HybridError
 from hybrid.online.layout import PAYLOAD, RowLayout
 from hybrid.regression.problem import Problem
@@ -18,6 +18,7 @@ from hybrid.robot import Robot
 from hybrid.signals import Motion
 
 _STEP = 1e-4  # relative, for finite differences of the shapes
+_Past = tuple[float, Memory]  # time of the last instant, and what is remembered of it
 _TOGETHER = 2  # instants in a rigid-body step, which then takes as long as the others
 
 
@@ -91,6 +92,7 @@ class InstantColumns:
         ]
         found: dict[tuple[int, int], Any] = {}
         self._others: list[int] = []
+        self._past: dict[int, _Past | None] = {}
         for e, effect in enumerate(self._problem.effects):
             try:
                 found |= _law_columns(e, effect, states, layout, tape)
@@ -106,12 +108,13 @@ class InstantColumns:
     def _fill_other(
         self, e: int, motion: Motion, body: RigidBody, theta: Array
     ) -> None:
-        """Write an effect that depends on several joints; slower."""
+        """Write an effect that depends on several joints or on the past; slower."""
         effect, own = self._problem.effects[e], self.layout.gains[e]
         shapes, joints = self.layout.shapes[e], [*effect.reaches(motion.q.shape[1])]
         names, values = [s.name for s in effect.shapes], theta[shapes].tolist()
         here = effect.at(dict(zip(names, values, strict=True)))
-        columns = here.columns(motion, body)  # (B, r, p)
+        past = self._past.get(e)
+        columns, self._past[e] = _columns(here, motion, body, past)
         known = [g for g, unknown in enumerate(own) if unknown >= 0]
         gains = theta[[own[g] for g in known]]
         for g in known:
@@ -121,9 +124,29 @@ class InstantColumns:
         for unknown, x, s in zip(shapes, values, effect.shapes, strict=True):
             step = _STEP * max(abs(x), _STEP)
             step = -step if x - step >= s.lower else step
-            moved = here.at({s.name: x + step}).columns(motion, body)
+            moved, _ = _columns(here.at({s.name: x + step}), motion, body, past)
             slope = (moved - columns)[:, :, known] @ gains / step
             self.rows[:, joints, unknown] = slope
+
+
+def _columns(
+    effect: Effect, motion: Motion, body: RigidBody, past: _Past | None
+) -> tuple[Array, _Past | None]:
+    """Torque per unit of each gain, (B, r, p), and what the effect remembers of it.
+
+    An effect that remembers has one gain, to which its torque is proportional.
+    """
+    if not effect.memory:
+        return effect.columns(motion, body), None
+    unit, found = effect.at({g.name: 1.0 for g in effect.gains}), []
+    signals = motion.q, motion.v, motion.a, np.sign(motion.v), body.load
+    for k, t in enumerate(motion.t.tolist()):
+        states = [JointState(t, *(x[k, j] for x in signals)) for j in effect.joints]
+        before, memory = past or (t, unit.begin(states))
+        torque, memory = unit.at_instant(states, memory, t - before)
+        past = t, memory
+        found.append(torque)
+    return np.array(found)[:, :, None], past
 
 
 def _law_columns(
