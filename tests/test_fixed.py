@@ -45,6 +45,7 @@ EXACT = {
 }  # fmt: skip
 NEARLY = (
     "asymmetric_friction",
+    "friction_lag",
     "load_friction",
     "presliding",
     "thermal_friction",
