@@ -87,7 +87,7 @@ def draw(cls: type[Effect]) -> bytes | None:
     waves = np.stack([0.9 * np.sin(2 * t), second], axis=1)
     v = np.gradient(waves, t, axis=0)
     zero = np.zeros_like(v)
-    warm = np.full_like(v, 40.0)
+    warm = np.linspace(10.0, 60.0, len(t))[:, None] + zero  # °C, of a drive at work
     motion = Motion(
         t, waves, v, np.gradient(v, t, axis=0), zero, np.ones(len(t), bool),
         temperature=warm, joints=robot.joints,
