@@ -12,8 +12,10 @@ class FrictionLag(Effect):
     """Frictional lag: viscous friction F·u of a film whose shear u follows the speed.
 
     A film of oil or grease takes a time T to build up: T·du/dt = v − u. So friction is
-    higher while a joint brakes than while it accelerates, as if the rotor were lighter.
-    Before a log the speed has been that of its first sample.
+    higher while a joint brakes than while it accelerates. Motions that are slow against
+    T show no more than a rotor that is lighter by F·T: a drive that subtracts too much
+    for its rotor before it reports torque looks the same there. Before a log the speed
+    has been that of its first sample.
     """
 
     id = "friction_lag"
