@@ -198,6 +198,21 @@ def test_a_child_that_was_killed_is_replaced_and_one_that_hangs_is_ended():
         workers.end_children()
 
 
+def test_a_child_that_does_not_load_in_time_is_killed(monkeypatch):
+    started, popen = [], workers.subprocess.Popen
+
+    def sleeps(command, **options):
+        words = [command[0], "-c", "import time; time.sleep(60)"]
+        started.append(popen(words, **options))
+        return started[0]
+
+    monkeypatch.setattr(workers, "_START", 0.1)
+    monkeypatch.setattr(workers.subprocess, "Popen", sleeps)
+    assert workers.ask({}, None, 1.0)["failed"] == workers.LATE
+    (child,) = started
+    assert child.returncode is not None and child.stdout.closed
+
+
 class Here:
     """A child that is no process of its own, to count what it is asked."""
 

@@ -41,7 +41,11 @@ class Child:
             encoding="utf-8",
             env={**os.environ, **dict.fromkeys(_SINGLE, "1")},
         )
-        self._read(_START)
+        try:
+            self._read(_START)
+        except (TimeoutError, EOFError):
+            self.end()
+            raise
 
     def ask(self, question: str, limit: float) -> dict[str, Any]:
         """The answer to a question of one line.
