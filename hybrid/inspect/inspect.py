@@ -69,7 +69,7 @@ def inspect_recording(recording: Recording, robot: Robot | None = None) -> Inspe
         joints = coverage_of(longest, state, robot.chain if robot else None)
         if robot is not None and recording.has_torque:
             excitation = excitation_of(robot.chain, state)
-        doubts += tuple(doubts_of_filter(longest, robot))
+            doubts += tuple(doubts_of_filter(longest, robot))
     doubts += tuple(doubts_of_lags(joints))
     return Inspection(recording, clock_of(recording), joints, excitation, doubts)
 

@@ -127,13 +127,11 @@ def doubts_of_magnitude(
         yield Doubt("tau", (j,), text, remedy, "error", float(np.exp(gain[j])))
 
 
-def doubts_of_filter(recording: Recording, robot: Robot | None) -> Iterator[Doubt]:
+def doubts_of_filter(recording: Recording, robot: Robot) -> Iterator[Doubt]:
     """Find torque that was low-pass filtered before it was logged.
 
     It has less power at high frequencies than a fit of links, rotors and friction.
     """
-    if robot is None or not recording.has_torque:
-        return
     cutoff = choose_cutoff(recording)
     motion = motion_from_recording(recording, cutoff=cutoff)
     few = slice(None, None, max(1, int(motion.rate / (_SAMPLES * cutoff))))

@@ -141,8 +141,7 @@ def readings(
 
 def _orders(chain: Chain, best: Index) -> list[tuple[str, Index]]:
     """Common orders of columns and the best order, each once, with its name."""
-    sorted_joints = sorted(chain.joints)
-    place = np.array([sorted_joints.index(joint) for joint in chain.joints])
+    place = np.argsort(np.argsort(chain.joints))
     names = ", ".join(chain.joints[k] for k in np.argsort(best))
     orders = {
         "to be in reverse order": np.arange(chain.size)[::-1].copy(),

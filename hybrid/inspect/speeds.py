@@ -64,7 +64,13 @@ def doubts_of_speeds(
     logs = np.log(np.abs(factor))
     common = wrong.all() and len(moving) > 1 and np.ptp(logs) < np.log(_SAME)
     if common and (factor > 0).all():
-        yield _common_factor(float(np.exp(logs.mean())))
+        shared = float(np.exp(logs.mean()))
+        near = [x for x in _UNITS if 1 / _SAME < shared / x < _SAME]
+        unknown = "t", "the clock or the speeds look scaled by that"
+        channel, looks = _UNITS[near[0]] if near else unknown
+        text = f"v is {shared:.4g} times dq/dt at every joint: {looks}"
+        remedy = "valid are s, rad and rad/s of one clock"
+        yield Doubt(channel, (), text, remedy, "error", shared)
         return
     for k in range(len(moving)):
         yield from _of_joint(recording, moving, k, float(factor[k]), correlation[k])
@@ -92,16 +98,6 @@ def _compared(state: State) -> tuple[Index, Array, Array]:
     return np.flatnonzero(moves), factor, correlation
 
 
-def _common_factor(factor: float) -> Doubt:
-    """Describe a factor that all joints share."""
-    unknown = "t", "the clock or the speeds look scaled by that"
-    near = [x for x in _UNITS if 1 / _SAME < factor / x < _SAME]
-    channel, looks = _UNITS[near[0]] if near else unknown
-    text = f"v is {factor:.4g} times dq/dt at every joint: {looks}"
-    remedy = "valid are s, rad and rad/s of one clock"
-    return Doubt(channel, (), text, remedy, "error", factor)
-
-
 def _of_joint(
     recording: Recording,
     moving: Index,
@@ -124,8 +120,10 @@ def _of_joint(
         text = f"{place} does not follow {derivative} (correlation {own:.2f})"
         yield Doubt("v", (joint,), text, evidence=float(own))
     elif factor < 0 and own < -_CORRELATED:
-        text = f"{place} is {factor:.3g} times {derivative}"
-        text += ": one counts the other way round"
+        text = (
+            f"{place} is {factor:.3g} times {derivative}: one counts the other way "
+            "round"
+        )
         remedy = "valid are q and v of one sign"
         yield Doubt("v", (joint,), text, remedy, "error", factor)
     elif ratio > _ODD and own > _CORRELATED:

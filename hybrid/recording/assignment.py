@@ -271,7 +271,10 @@ class Assignment:
             unit = self._unit(channel, column)
             known = converted(unit or SI[channel][0], channel)
             current = converted(unit, "current") if channel == "tau" else None
-            if current and not constant and self._is_ignored_current(column):
+            # One that the user did not call a torque is ignored, and not refused.
+            preset = self.preset.preset and "tau" not in self.map.sources
+            ignored = not self.torque or column.channel == "current" or preset
+            if current and not constant and ignored:
                 why = f"current in {unit}: a map with a torque_constant is needed"
                 self.unused |= {c.index: why for c in columns}
                 return []
@@ -289,11 +292,6 @@ class Assignment:
         own, preset = self.map.source(channel), self.preset.source(channel)
         current = column.channel == "current" or "torque_constant" in own.factors
         return own.unit or column.unit or preset.unit or ("A" if current else "")
-
-    def _is_ignored_current(self, column: Meaning) -> bool:
-        """Tell whether a current is ignored, and not refused as a wrong torque."""
-        of_preset = bool(self.preset.preset) and "tau" not in self.map.sources
-        return not self.torque or column.channel == "current" or of_preset
 
     def _unit_error(self, label: str, unit: str, channel: str) -> RecordingError:
         valid = " and ".join(SI[channel])

@@ -53,7 +53,7 @@ def _best(
     torque: bool,
 ) -> tuple[LogTable, Reading]:
     """Choose a table: first by torques, then by joint states, then by channels."""
-    good: list[tuple[tuple[bool, bool, int], LogTable, Reading]] = []
+    good: dict[tuple[bool, bool, int], list[tuple[LogTable, Reading]]] = {}
     bad = list[RecordingError]()
     for table in tables:
         try:
@@ -63,11 +63,10 @@ def _best(
         else:
             found = reading.channels
             rank = ("tau" in found, table.preset == "joint_state", len(found))
-            good.append((rank, table, reading))
+            good.setdefault(rank, []).append((table, reading))
     if not good:
         raise min(bad, key=lambda error: isinstance(error, NoJointsError))
-    highest = max(rank for rank, *_ in good)
-    best = [(table, reading) for rank, table, reading in good if rank == highest]
+    best = good[max(good)]
     if len(best) > 1:
         names = ", ".join(table.name for table, _ in best)
         raise RecordingError(

@@ -48,27 +48,20 @@ def _by_name(names: Sequence[str], joints: tuple[str, ...]) -> dict[str, str]:
     """Robot's joint for each name that has one; exact spelling is preferred."""
     unique = tuple(dict.fromkeys(names))
     skip_joint, skip_name = len(_prefix(joints)), len(_prefix(unique))
-
-    def short_name(name: str) -> str:
-        return _bare(name[skip_name:])
-
-    def short_joint(joint: str) -> str:
-        return _bare(joint[skip_joint:])
-
-    spellings = (
-        (str, str),
-        (str.lower, str.lower),
-        (_bare, _bare),
-        (_bare, short_joint),
-        (short_name, _bare),
-        (short_name, short_joint),
+    spellings = (  # and characters that are skipped of the name, and of the joint
+        (str, 0, 0),
+        (str.lower, 0, 0),
+        (_bare, 0, 0),
+        (_bare, 0, skip_joint),
+        (_bare, skip_name, 0),
+        (_bare, skip_name, skip_joint),
     )
     best: dict[str, str] = {}
-    for of_name, of_joint in spellings:
+    for spell, of_name, of_joint in spellings:
         spelled: dict[str, list[str]] = {}
         for joint in joints:
-            spelled.setdefault(of_joint(joint), []).append(joint)
-        found = {n: spelled.get(of_name(n), []) for n in unique}
+            spelled.setdefault(spell(joint[of_joint:]), []).append(joint)
+        found = {n: spelled.get(spell(n[of_name:]), []) for n in unique}
         matched = {n: where[0] for n, where in found.items() if len(where) == 1}
         if len(matched) > len(best) and len(set(matched.values())) == len(matched):
             best = matched

@@ -39,14 +39,15 @@ LONGEST = 300  # characters of a label that is parsed
 _MOTOR = ("motor", "rotor")
 _TAU = ("tau", "dtau")
 _TOKEN = re.compile(r"\d+|(?:[^\W\d_](?!(?<=[a-z]{2})(?=[A-Z])))*[^\W\d_]")
-_UNIT = re.compile(r"\s*[\[(]([^\[\]()]+)[\])]$")
+_UNIT = re.compile(r"\s*[\[(](?P<unit>[^\[\]()]+)[\])]$")
 _SUFFIX = re.compile(  # a stamp's sec is one of its fields, not its unit
     r"(?:_|(?<!stamp)(\s*/\s*|\s+in\s+))"
-    r"(rad_s|rad_per_s|deg_s|deg_per_s|m?rad|deg|degrees|rpm|[mk]?N_?[cm]?m|mA|A|degC|C|"
+    r"(?P<unit>rad_s|rad_per_s|deg_s|deg_per_s|m?rad|deg|degrees|rpm|[mk]?N_?[cm]?m|mA|A|degC|C|"
     r"[mun]s|sec|seconds|nanoseconds|milliseconds|microseconds|ns|nsec|msec|usec|"
     r"(?(1)(?:rad/s|deg/s|°/s|°C?|N[·* ]m|m/s|m|s)))$"
 )
 _NUMBER = re.compile(r"\[?(\d+)\]?")
+_NAMES = ("name", "number")  # kinds of words that tell joints
 _SEPARATORS = " _./:[]-"
 _SYMBOL = re.compile(r"[^\w\s./:()\[\]-]")
 
@@ -93,18 +94,16 @@ def split_unit(label: str) -> tuple[str, str]:
     label = label.strip()
     if len(label) > LONGEST:
         return label, ""
-    if (match := _UNIT.search(label)) and fits(unit := match.group(1).strip()):
-        text = label[: match.start()]
+    for pattern in (_UNIT, _SUFFIX):
+        if not (match := pattern.search(label)):
+            continue
+        text, unit = label[: match.start()], match["unit"].strip()
         meaning = _parse(text)
         channel = "time" if is_time(text) else meaning.channel
         # q[a] is joint a, not a year; q1 [a] is in years, and will be refused.
-        is_unit = meaning.joint if channel else match.group()[0] in " ("
-        if is_unit or (channel and fits(unit, channel)):
-            return text, unit
-    if match := _SUFFIX.search(label):
-        text, unit = label[: match.start()], match.group(2)
-        channel = "time" if is_time(text) else _parse(text).channel
-        if channel and fits(unit, channel):
+        apart = meaning.joint if channel else match.group()[0] in " ("
+        other = pattern is _UNIT and apart and fits(unit)
+        if other or (channel and fits(unit, channel)):
             return text, unit
     return label, ""
 
@@ -149,12 +148,12 @@ def _parse_with_joints(text: str, joints: tuple[str, ...]) -> Meaning | None:
             continue
         first, last = _words(before), _words(after)
         channel, why = _channel_of([w for w in first + last if w.kind != "name"])
-        if channel and not any(w.kind in ("name", "number") for w in last):
-            if not any(w.kind in ("name", "number") for w in first):
-                return Meaning(channel, joint, why="")
-            if any(w.kind == "quantity" for w in first):
+        if channel and not any(w.kind in _NAMES for w in last):
+            named = any(w.kind in _NAMES for w in first)
+            if named and any(w.kind == "quantity" for w in first):
                 continue
-            return Meaning(channel, joint, None, before.strip(_SEPARATORS), why="")
+            space = before.strip(_SEPARATORS) if named else ""
+            return Meaning(channel, joint, None, space, why="")
         if why:
             return Meaning(why=why)
     return None
@@ -196,7 +195,7 @@ def _parse(text: str) -> Meaning:
 def _phrase(words: list[_Word]) -> list[_Word]:
     """Words around the quantity: the first run of the label, or else the last."""
     runs = [list(run) for named, run in
-            groupby(words, lambda w: w.kind in ("name", "number"))
+            groupby(words, lambda w: w.kind in _NAMES)
             if not named]  # fmt: skip
     for kind in ("quantity", "commanded"):
         good = [run for run in runs if any(w.kind == kind for w in run)]

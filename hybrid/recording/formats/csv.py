@@ -6,6 +6,7 @@ import re
 import warnings
 from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO, TextIOWrapper
@@ -39,16 +40,12 @@ _MOST_COMMENTS = 1000  # lines
 @dataclass(frozen=True)
 class _Text:
     path: Path
-    content: bytes | None  # of a gzipped file
+    open: Callable[[], BinaryIO]  # the whole text, from its start
     labels: tuple[str, ...]
     delimiter: str
     decimal_point: str
     first: tuple[str, ...]  # cells of the first row
     above: int  # lines above it
-
-    def open(self) -> BinaryIO:
-        """The whole text, from its start."""
-        return self.path.open("rb") if self.content is None else BytesIO(self.content)
 
 
 def read_csv(path: Path) -> list[tuple[LogTable]]:
@@ -182,21 +179,21 @@ def _date(cell: str) -> np.datetime64:
     return np.datetime64(cell.strip(), "ns")
 
 
-def _unpacked(path: Path) -> bytes | None:
-    """Content of a gzipped file; None if it is not gzipped."""
+def _opener(path: Path) -> Callable[[], BinaryIO]:
+    """What opens the text of a file; a gzipped one is unpacked once."""
     if path.suffix.lower() != ".gz":
-        return None
+        return partial(path.open, "rb")
     with as_recording_error(path, "gzip file"), gzip.open(path) as file:
         content = file.read(LARGEST_FILE + 1)
     check_most(path, len(content), "bytes, unpacked")
-    return content
+    return partial(BytesIO, content)
 
 
 def _text(path: Path) -> _Text:
     """Find labels and delimiter in the first line, the decimal sign in the next."""
     try:
-        content = _unpacked(path)
-        with path.open("rb") if content is None else BytesIO(content) as file:
+        opened = _opener(path)
+        with opened() as file:
             names, *rows, above = _first_lines(file)
             ahead = file.read(_LONGEST_LINE)
     except OSError as error:
@@ -214,7 +211,9 @@ def _text(path: Path) -> _Text:
         labels = tuple(next(line))
     except csv.Error as error:
         raise RecordingError(f"{path}: first line of column names: {error}") from error
-    if all(_is_number(label) for label in labels if label.strip()):
+    with suppress(ValueError):  # one is no number
+        for label in labels:
+            _number(label)
         raise RecordingError(
             f"{path}: the first line holds numbers; valid are column names such as "
             "time, q1, tau1"
@@ -229,7 +228,7 @@ def _text(path: Path) -> _Text:
     rows_ahead = first, second, *ahead.decode(errors="replace").split("\n")
     row = next((x for x in rows_ahead if "," in x or "." in x), ".")
     point = "." if delimiter == "," or "." in row else ","
-    return _Text(path, content, labels, delimiter, point, cells, above)
+    return _Text(path, opened, labels, delimiter, point, cells, above)
 
 
 def _first_lines(file: BinaryIO) -> tuple[bytes, bytes, bytes, int]:
@@ -287,11 +286,3 @@ def _explanation(text: _Text, error: str) -> str:
         label, cell = text.labels[int(match[3]) - 1].strip(), match[1].strip()
         return f"{label}, {row_words(int(match[2]))}: {cell!r} is not a number"
     return f"cannot be read as CSV: {error.splitlines()[0]}"
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return "_" not in text

@@ -68,5 +68,4 @@ def _with_index(frame: Any) -> Any:
     name = str(frame.index.name or "")
     if np.asarray(frame.index[:0]).dtype.kind == "M":
         return frame.rename_axis(name if is_time(name) else "time").reset_index()
-    timed = bool(name) and is_time(split_unit(name)[0])
-    return frame.reset_index(drop=not timed)
+    return frame.reset_index(drop=not is_time(split_unit(name)[0]))

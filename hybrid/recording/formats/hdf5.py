@@ -74,8 +74,6 @@ def _table(
 
 def _arrays(file: Any, source: str) -> dict[str, AnyArray]:
     """Read all arrays of a file; the unit of an attribute is added to the label."""
-    import h5py
-
     found: dict[str, AnyArray] = {}
     seen, size = 0, 0
 
@@ -84,7 +82,7 @@ def _arrays(file: Any, source: str) -> dict[str, AnyArray]:
         seen += 1
         check_most(source, seen, "groups and arrays", 20_000)
         check_most(source, name.count("/"), "levels of groups", 16)
-        if isinstance(item, h5py.Dataset) and _is_read(item):
+        if _is_read(item):
             size += item.size * item.dtype.itemsize
             check_most(source, size, "bytes of arrays")
             found[_label_with_unit(name, item)] = item[()]
@@ -94,10 +92,11 @@ def _arrays(file: Any, source: str) -> dict[str, AnyArray]:
 
 
 def _is_read(item: Any) -> bool:
-    """Tell whether an array may be a column, and lies in this file."""
-    columns = item.shape is not None and 0 < item.ndim < 3
-    elsewhere = item.external or item.is_virtual
-    return columns and item.dtype.kind in "fiuSUO" and not elsewhere
+    """Tell whether it is an array that may be a column, and lies in this file."""
+    shape = getattr(item, "shape", None)  # neither groups nor empty arrays have one
+    if shape is None or not 0 < len(shape) < 3 or item.dtype.kind not in "fiuSUO":
+        return False
+    return not (item.external or item.is_virtual)
 
 
 def _label_with_unit(label: str, item: Any) -> str:
