@@ -182,7 +182,7 @@ def _date(cell: str) -> np.datetime64:
 def _opener(path: Path) -> Callable[[], BinaryIO]:
     """What opens the text of a file; a gzipped one is unpacked once."""
     if path.suffix.lower() != ".gz":
-        return partial(path.open, "rb")
+        return lambda: path.open("rb")
     with as_recording_error(path, "gzip file"), gzip.open(path) as file:
         content = file.read(LARGEST_FILE + 1)
     check_most(path, len(content), "bytes, unpacked")
