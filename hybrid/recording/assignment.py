@@ -265,15 +265,19 @@ class Assignment:
         self, channel: str, columns: Sequence[Meaning], joints: tuple[str, ...]
     ) -> list[Used]:
         """Columns of a channel with their units; none for currents without a factor."""
-        source, used = self._source(channel), []
+        own, preset = self.map.source(channel), self.preset.source(channel)
+        source, used = own.over(preset), list[Used]()
         constant = "torque_constant" in source.factors
         for place, (column, joint) in enumerate(zip(columns, joints, strict=True)):
-            unit = self._unit(channel, column)
+            # That of the user, the label, the file or the preset, in this order.
+            unit = own.unit or column.unit or preset.unit
+            if not unit and (constant or column.channel == "current"):
+                unit = "A"
             known = converted(unit or SI[channel][0], channel)
             current = converted(unit, "current") if channel == "tau" else None
             # One that the user did not call a torque is ignored, and not refused.
-            preset = self.preset.preset and "tau" not in self.map.sources
-            ignored = not self.torque or column.channel == "current" or preset
+            by_preset = self.preset.preset and "tau" not in self.map.sources
+            ignored = not self.torque or column.channel == "current" or by_preset
             if current and not constant and ignored:
                 why = f"current in {unit}: a map with a torque_constant is needed"
                 self.unused |= {c.index: why for c in columns}
@@ -286,12 +290,6 @@ class Assignment:
             shown = unit or SI[channel][0]
             used.append(Used(*words, shown, bool(unit), factor, known[1]))
         return used
-
-    def _unit(self, channel: str, column: Meaning) -> str:
-        """Unit of a column, from the user, the label, the file or the preset."""
-        own, preset = self.map.source(channel), self.preset.source(channel)
-        current = column.channel == "current" or "torque_constant" in own.factors
-        return own.unit or column.unit or preset.unit or ("A" if current else "")
 
     def _unit_error(self, label: str, unit: str, channel: str) -> RecordingError:
         valid = " and ".join(SI[channel])

@@ -113,21 +113,17 @@ def _by_arrow(text: _Text, kinds: Mapping[int, str]) -> dict[int, AnyArray] | No
         return None
     if any(kinds[int(k)] != "f8" and table[k].null_count for k in types):
         return None
-    if any(kind == "i8" for kind in kinds.values()) and _has_hexadecimals(text):
-        return None  # Arrow reads them as whole numbers
+    if "i8" in kinds.values():
+        with text.open() as lines:
+            rows = islice(lines, text.above, None)
+            if any(b"0x" in row or b"0X" in row for row in rows):
+                return None  # Arrow reads hexadecimals as whole numbers
     return {
         k: np.concatenate(
             [np.empty(0, kind), *(_numbers(x, kind) for x in table[str(k)].chunks)]
         )
         for k, kind in kinds.items()
     }
-
-
-def _has_hexadecimals(text: _Text) -> bool:
-    """Whether a row holds what Arrow takes for a hexadecimal."""
-    with text.open() as lines:
-        below = islice(lines, text.above, None)
-        return any(b"0x" in line or b"0X" in line for line in below)
 
 
 def _numbers(chunk: Any, kind: str) -> AnyArray:

@@ -47,14 +47,31 @@ def read_hdf5(path: Path) -> list[tuple[LogTable]]:
 
 
 def arrays_of(path: Path) -> tuple[dict[str, AnyArray], float]:
-    """Read all arrays of a file by path, and the rate that robomimic states, [Hz]."""
+    """Read all arrays of a file by path, and the rate that robomimic states, [Hz].
+
+    The unit of an attribute is added to the label.
+    """
     check_extra("h5py", "hdf5", f"{path}: HDF5")
     import h5py
+
+    found: dict[str, AnyArray] = {}
+    seen, size = 0, 0
+
+    def visit(name: str, item: Any) -> None:
+        nonlocal seen, size
+        seen += 1
+        check_most(path, seen, "groups and arrays", 20_000)
+        check_most(path, name.count("/"), "levels of groups", 16)
+        if _is_read(item):
+            size += item.size * item.dtype.itemsize
+            check_most(path, size, "bytes of arrays")
+            found[_label_with_unit(name, item)] = item[()]
 
     with as_recording_error(path, "HDF5 file"):
         _check_heaps(path)
         with h5py.File(path, "r") as file:
-            return _arrays(file, str(path)), _rate(file)
+            file.visititems(visit)  # follows no links to other files
+            return found, _rate(file)
 
 
 def _natural(name: str) -> tuple[str, int]:
@@ -70,25 +87,6 @@ def _table(
         numbers["time"] = np.arange(max(map(len, numbers.values()), default=0)) / rate
     numbers |= {k: group[k] for k in NAMES if k in group}
     return table_of_arrays(numbers, source, kind="HDF5", name=episode)
-
-
-def _arrays(file: Any, source: str) -> dict[str, AnyArray]:
-    """Read all arrays of a file; the unit of an attribute is added to the label."""
-    found: dict[str, AnyArray] = {}
-    seen, size = 0, 0
-
-    def visit(name: str, item: Any) -> None:
-        nonlocal seen, size
-        seen += 1
-        check_most(source, seen, "groups and arrays", 20_000)
-        check_most(source, name.count("/"), "levels of groups", 16)
-        if _is_read(item):
-            size += item.size * item.dtype.itemsize
-            check_most(source, size, "bytes of arrays")
-            found[_label_with_unit(name, item)] = item[()]
-
-    file.visititems(visit)  # follows no links to other files
-    return found
 
 
 def _is_read(item: Any) -> bool:

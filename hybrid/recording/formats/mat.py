@@ -44,19 +44,14 @@ def read_mat(path: Path) -> list[tuple[LogTable]]:
     if len(structs) == 1:
         found = {name.split(".", 1)[-1]: x for name, x in found.items()}
     plain = {k: x for k, x in found.items() if x.dtype.kind in "fiu" and x.ndim < 3}
-    names = {k: found[k] for k in NAMES if k in found and found[k].dtype.kind == "U"}
-    arrays = _with_rows_as_samples(plain) | names
-    return [(table_of_arrays(arrays, str(path), kind="MATLAB"),)]
-
-
-def _with_rows_as_samples(arrays: dict[str, AnyArray]) -> dict[str, AnyArray]:
-    times = [x.size for k, x in arrays.items() if is_time(split_unit(k)[0])]
-    rows, found = max(times, default=0), {}
-    for name, x in arrays.items():
-        if x.ndim == 2 and x.shape[1] == rows != x.shape[0]:
+    arrays = {k: found[k] for k in NAMES if k in found and found[k].dtype.kind == "U"}
+    times = [x.size for k, x in plain.items() if is_time(split_unit(k)[0])]
+    rows = max(times, default=0)
+    for name, x in plain.items():
+        if x.ndim == 2 and x.shape[1] == rows != x.shape[0]:  # samples in columns
             x = x.T
-        found[name] = x[:, 0] if x.ndim == 2 and x.shape[1] == 1 else x
-    return found
+        arrays[name] = x[:, 0] if x.ndim == 2 and x.shape[1] == 1 else x
+    return [(table_of_arrays(arrays, str(path), kind="MATLAB"),)]
 
 
 def _version_5(path: Path) -> dict[str, AnyArray]:
