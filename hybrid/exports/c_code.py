@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hybrid import __version__
+from hybrid.arrays import Array
 from hybrid.dynamics import Law
 from hybrid.errors import HybridError, warn
 from hybrid.exports.simulator.model import usual_motion
@@ -45,31 +46,40 @@ LIMITS = ("q_min", "q_max", "v_max", "tau_max")
 
 def write_c(model: DynamicModel, program: Program, digest: str, folder: Path) -> None:
     """Write ``<arm>.h``, ``example.c`` and ``CMakeLists.txt``."""
-    robot = model.robot
+    robot, p = model.robot, c_identifier(model.robot.name)
     _warn_of_clamps(model, program)
-    p = c_identifier(robot.name)
+
+    def numbers(x: Array, *, finite: bool = True) -> list[str]:
+        return [c_number(float(y), p.upper(), finite=finite) for y in x]
+
     rng = np.random.default_rng(0)
     low = np.where(np.isfinite(robot.q_min), robot.q_min, -1.0)
     high = np.where(np.isfinite(robot.q_max), robot.q_max, 1.0)
     q = rng.uniform(low, high)[None]
     v, a = rng.uniform(-1.0, 1.0, (2, 1, robot.size))
     tau, _ = program.run(q, v, a)
-    units = robot.chain.units("N·m")
-    example = {
-        name: [c_number(float(y), p.upper()) for y in x[0]]
-        for name, x in (("q", q), ("v", v), ("a", a))
-    } | {
+    values, outputs = _statements(program, p.upper())
+    content: dict[str, Any] = {
+        "p": p,
+        "P": p.upper(),
+        "n": robot.size,
+        "robot": c_comment(robot.name),
+        "joints": [_joint(robot, k) for k in range(robot.size)],
+        "digest": digest,
+        "version": __version__,
+        "fingerprint": robot.fingerprint(),
+        "limits": {x: numbers(getattr(robot, x), finite=False) for x in LIMITS},
+        "memory": program.memory_names,
+        "values": values,
+        "outputs": outputs,
+        "q": numbers(q[0]),
+        "v": numbers(v[0]),
+        "a": numbers(a[0]),
         "tau": [repr(float(x)) for x in tau[0]],
-        "unit": [f'"{x.replace("·", " ")}"' for x in units],
+        "unit": [f'"{x.replace("·", " ")}"' for x in robot.chain.units("N·m")],
     }
-    marks: dict[str, Any] = {"p": p, "P": p.upper(), "n": robot.size}
-    content: dict[str, dict[str, Any]] = {
-        "arm.h": _header(program, robot, digest),
-        "example.c": example,
-        "CMakeLists.txt": {},
-    }
-    for name, values in content.items():
-        text = render_template(TEMPLATES / f"{name}.j2", **marks, **values)
+    for name in ("arm.h", "example.c", "CMakeLists.txt"):
+        text = render_template(TEMPLATES / f"{name}.j2", **content)
         (folder / name.replace("arm", p)).write_text(text, encoding="utf-8")
 
 
@@ -88,29 +98,6 @@ def _warn_of_clamps(model: DynamicModel, program: Program) -> None:
             f"at positions and speeds of the logs: {', '.join(over)}; valid are the "
             "limits of the drives, in the file or in clamp"
         )
-
-
-def _header(program: Program, robot: Robot, digest: str) -> dict[str, Any]:
-    """Content of the header."""
-    p = c_identifier(robot.name)
-    values, outputs = _statements(program, p.upper())
-    return {
-        "robot": c_comment(robot.name),
-        "joints": [_joint(robot, k) for k in range(robot.size)],
-        "digest": digest,
-        "version": __version__,
-        "fingerprint": robot.fingerprint(),
-        "limits": {
-            name: [
-                c_number(float(x), p.upper(), finite=False)
-                for x in getattr(robot, name)
-            ]
-            for name in LIMITS
-        },
-        "memory": program.memory_names,
-        "values": values,
-        "outputs": outputs,
-    }
 
 
 def _joint(robot: Robot, k: int) -> str:

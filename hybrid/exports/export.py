@@ -18,11 +18,8 @@ from hybrid.model.program import Program, program_from_model
 from hybrid.names import file_stem
 from hybrid.signals import Motion
 
-FORMATS = (
-    "onnx", "torchscript", "c", "mjcf", "urdf", "isaaclab", "ranges", "json",
-)  # fmt: skip
-
 _PROGRAMS = "onnx", "torchscript", "c"
+FORMATS = (*_PROGRAMS, "mjcf", "urdf", "isaaclab", "ranges", "json")
 # Package that a format needs, the extra that brings it, and what to call the format.
 _LIBRARIES = {
     "onnx": ("onnx", "export", "ONNX"),

@@ -183,23 +183,19 @@ def _parts(
     form: Mapping[str, float] | None,
 ) -> tuple[Parts, list[Parts], list[Parts]]:
     """Terms of every fit, and choices of a knee and of a fall; the first is none."""
-    always = [*_smooth(fastest, fields), *_dry(0.0, fields)]
+    rises, drops = [0.0], [0.0]
     if form is not None:
-        w, u = form["knee_speed"], form["fall_speed"]
-        bent = [{"fall": 1.0, "fall_speed": u}] if u else []
-        return always, [list(_dry(w, fields)) if w else []], [bent]
-    knees: list[Parts] = [[]]
-    falls: list[Parts] = [[]]
-    if "knee" in fields:
-        speeds = known, *fastest * _KNEES
-        knees += [list(_dry(w, fields)) for w in speeds if w > 0]
-    if "fall" in fields:
+        rises, drops = [form["knee_speed"]], [form["fall_speed"]]
+    elif "knee" in fields:
+        rises += [w for w in (known, *fastest * _KNEES) if w > 0]
+    if form is None and "fall" in fields:
         low, high = Stribeck.shapes[0].lower, Stribeck.shapes[0].upper
-        falls += [
-            [{"fall": 1.0, "fall_speed": u}]
-            for u in fastest * _FALLS if low <= u <= high
-        ]  # fmt: skip
-    return always, knees, falls
+        drops += [u for u in fastest * _FALLS if low <= u <= high]
+    return (
+        [*_smooth(fastest, fields), *_dry(0.0, fields)],
+        [list(_dry(w, fields)) if w else [] for w in rises],
+        [[{"fall": 1.0, "fall_speed": u}] if u else [] for u in drops],
+    )
 
 
 def curve(values: Mapping[str, float], v: Array) -> Array:

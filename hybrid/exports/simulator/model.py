@@ -47,7 +47,7 @@ def model_simulator(
     parts = model.remainder.parts if model.remainder else ()
     learned = ", ".join(model.robot.joints[part.joint] for part in parts)
     return build_simulator(
-        _bare(model).with_inertial(model.inertial),
+        _bare(model),
         model.effects,
         kind=kind,
         motions=motions,
@@ -76,8 +76,9 @@ def missing_model(model: DynamicModel, made: Simulator) -> DynamicModel:
 
 
 def _bare(model: DynamicModel) -> Robot:
-    """The arm without declared rotors, friction and springs; effects have them all."""
-    robot, zero = model.robot, np.zeros(model.robot.size)
+    """The arm with the model's links; effects have its rotors, friction and springs."""
+    assert model.inertial is not None
+    robot, zero = model.robot.with_inertial(model.inertial), np.zeros(model.robot.size)
     names = "damping", "frictionloss", "quadratic", "cubic", "stiffness", "knee"
     own: dict[str, Any] = dict.fromkeys(names, zero)
     own |= {"ripple": np.zeros((0, 4)), "falling": np.zeros((0, 3))}
@@ -95,9 +96,7 @@ def fields_of_model(
 
     Friction that is fitted rises and falls at the speeds of ``form``, if there is one.
     """
-    assert model.inertial is not None
-    robot = _bare(model).with_inertial(model.inertial)
-    return plan(robot, model.effects, kind, motions, form).change.robot
+    return plan(_bare(model), model.effects, kind, motions, form).change.robot
 
 
 def usual_motion(model: DynamicModel) -> Motion:

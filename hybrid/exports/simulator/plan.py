@@ -36,19 +36,15 @@ from hybrid.robot import Robot
 from hybrid.robot.edit.change import Actuator, Edit
 from hybrid.signals import Motion
 
-# Fields of a joint in each kind of file, and those that approximate friction.
+# Fields of a joint in each kind of file.
 JOINT_FIELDS = {
     "mjcf": tuple(FIELDS),
     "urdf": ("armature", "damping", "frictionloss", "stiffness", "preload"),
     "isaaclab": ("armature", "damping", "frictionloss"),
 }  # fmt: skip
-_CURVE = {
-    "mjcf": (
-        "frictionloss", "damping", "quadratic", "cubic", "preload", "knee", "fall",
-    ),
-    "urdf": ("frictionloss", "damping"),
-    "isaaclab": ("frictionloss", "damping"),
-}  # fmt: skip
+# Fields that approximate friction: everywhere, and in MJCF.
+_CURVE = ("frictionloss", "damping")
+_CURVE_OF_MJCF = (*_CURVE, "quadratic", "cubic", "preload", "knee", "fall")
 
 
 @dataclass(frozen=True)
@@ -98,15 +94,14 @@ def plan(
         replace(robot, chain=chain), friction, values, kind, motions, form
     )
     rest = [effect for effect in others if not is_friction(effect)]
-    ripples = [e for e in rest if mjcf and isinstance(e, TorqueRipple)]
-    rotors = [e for e in rest if mjcf and isinstance(e, TransmissionCoupling)]
-    motors = [e for e in rest if mjcf and e.actuator]
-    springs = [e for e in rest if mjcf and isinstance(e, StiffeningSpring)]
+    own = rest if mjcf else []
+    ripples = [e for e in own if isinstance(e, TorqueRipple)]
+    rotors = [e for e in own if isinstance(e, TransmissionCoupling)]
+    motors = [e for e in own if e.actuator]
+    springs = [e for e in own if isinstance(e, StiffeningSpring)]
     known: list[Effect] = [*ripples, *rotors, *motors, *springs]
-    shaped = [
-        e for e in rest if mjcf and overrides(e, "edit_spec")
-        and not e.fields and e not in known
-    ]  # fmt: skip
+    own = [e for e in own if not e.fields and e not in known]
+    shaped = [e for e in own if overrides(e, "edit_spec")]
     coupled, below = coupled_rows(rotors)
     rows = [(e.joints[0], *e.gain_values, e.values["periods"]) for e in ripples]
     ripple = np.array(rows).reshape(-1, 4)
@@ -167,7 +162,7 @@ def _fitted_friction(
             {name: float(x[j]) for name, x in values.items()}
             | {"knee_speed": float(robot.knee_speed[j])},
             moved,
-            _CURVE[kind],
+            _CURVE_OF_MJCF if kind == "mjcf" else _CURVE,
             float(highest[j]),
             _form(form, j),
         )

@@ -1,11 +1,12 @@
 """Draw models from the posterior of an identified one."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import nnls
 
-from hybrid.arrays import Array
+from hybrid.arrays import Array, Mask
 from hybrid.dynamics.pseudo_inertia import (
     inertial_from_pseudo,
     nominal_bodies,
@@ -53,14 +54,27 @@ def sample(
         model = replace(model, covariance=_given_links(model))
     values, vectors = np.linalg.eigh(model.covariance)
     factor = np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))
-    jacobian, bounded = _link_jacobian(model), _Bounded(model)
+    jacobian, bounded, rigid = _link_jacobian(model), _bounded(model), _rigid(model)
+    names = np.array(model.base.kept_labels, dtype=object)[~rigid]
     rng = np.random.default_rng(seed)
-    return tuple(_draw(model, factor, bounded, jacobian, rng) for _ in range(n))
+    drawn = []
+    for _ in range(n):
+        change = bounded(factor @ rng.standard_normal(factor.shape[1]))
+        gains = dict(zip(names, change[~rigid], strict=True))
+        effects = tuple(_changed(model, e, gains, rng) for e in model.effects)
+        inertial = _physical(model, (jacobian @ change[rigid]).reshape(-1, 10))
+        drawn.append(replace(model, inertial=inertial, effects=effects, simpler={}))
+    return tuple(drawn)
+
+
+def _rigid(model: DynamicModel) -> Mask:
+    """Which base parameters are of the links, shape (b,)."""
+    return np.array(model.base.kept) < 10 * model.robot.size
 
 
 def _given_links(model: DynamicModel) -> Array:
     """Covariance of the gains if the links are known, which do not vary then."""
-    C, rigid = model.covariance, np.array(model.base.kept) < 10 * model.robot.size
+    C, rigid = model.covariance, _rigid(model)
     across = C[np.ix_(~rigid, rigid)]
     known = across @ np.linalg.pinv(C[np.ix_(rigid, rigid)], hermitian=True) @ across.T
     out = np.zeros_like(C)
@@ -68,66 +82,47 @@ def _given_links(model: DynamicModel) -> Array:
     return out
 
 
-class _Bounded:
-    """Changes of parameters with which all gains are within their bounds."""
+def _bounded(model: DynamicModel) -> Callable[[Array], Array]:
+    """The most probable change of parameters near another one, shape (b,).
 
-    def __init__(self, model: DynamicModel) -> None:
-        """Take bounds and covariance from a model."""
-        self._least = np.full(len(model.base.kept), -np.inf)
-        at = {label: k for k, label in enumerate(model.base.kept_labels)}
-        for effect in model.effects:
-            labels = gain_labels(model.robot.joints, model.effects, effect)
-            for gain, low, label in zip(
-                effect.gains, effect.least_gains, labels, strict=True
-            ):
-                if label in at:
-                    self._least[at[label]] = min(low, 0.0) - effect.values[gain.name]
-        self._held = np.flatnonzero(np.isfinite(self._least))
-        own = model.covariance[np.ix_(self._held, self._held)]
-        self._size = np.sqrt(np.maximum(np.diagonal(own), 0.0))
-        self._size[self._size == 0.0] = 1.0  # of what is certain
-        values, vectors = np.linalg.eigh(own / np.outer(self._size, self._size))
-        values = np.maximum(values, _SURE * values.max(initial=1.0))
-        self._root = (vectors / np.sqrt(values)).T  # of the inverse correlation
-        across = model.covariance[:, self._held] / self._size
-        self._follow = across @ self._root.T @ self._root
+    It is the nearest with which all gains are within their bounds.
+    """
+    least = np.full(len(model.base.kept), -np.inf)
+    at = {label: k for k, label in enumerate(model.base.kept_labels)}
+    for effect in model.effects:
+        labels = gain_labels(model.robot.joints, model.effects, effect)
+        bounds = zip(effect.gains, effect.least_gains, labels, strict=True)
+        for gain, low, label in bounds:
+            if label in at:
+                least[at[label]] = min(low, 0.0) - effect.values[gain.name]
+    held = np.flatnonzero(np.isfinite(least))
+    own = model.covariance[np.ix_(held, held)]
+    size = np.sqrt(np.maximum(np.diagonal(own), 0.0))
+    size[size == 0.0] = 1.0  # of what is certain
+    values, vectors = np.linalg.eigh(own / np.outer(size, size))
+    values = np.maximum(values, _SURE * values.max(initial=1.0))
+    root = (vectors / np.sqrt(values)).T  # of the inverse correlation
+    follow = (model.covariance[:, held] / size) @ root.T @ root
+    lowest = least[held] / size
 
-    def __call__(self, change: Array) -> Array:
-        """The most probable change within the bounds, near a change of shape (b,)."""
-        low = self._least[self._held] / self._size
-        wanted = change[self._held] / self._size
-        if (wanted >= low).all():
+    def bounded(change: Array) -> Array:
+        wanted = change[held] / size
+        if (wanted >= lowest).all():
             return change
-        above, _ = nnls(self._root, self._root @ (wanted - low))
-        found = change + self._follow @ (low + above - wanted)
-        found[self._held] = (low + above) * self._size
+        above, _ = nnls(root, root @ (wanted - lowest))
+        found = change + follow @ (lowest + above - wanted)
+        found[held] = (lowest + above) * size
         return np.asarray(found)
 
-
-def _draw(
-    model: DynamicModel,
-    factor: Array,
-    bounded: _Bounded,
-    jacobian: Array,
-    rng: np.random.Generator,
-) -> DynamicModel:
-    assert model.inertial is not None
-    rigid = np.array(model.base.kept) < 10 * model.robot.size
-    change = bounded(factor @ rng.standard_normal(factor.shape[1]))
-    inertial = model.inertial + (jacobian @ change[rigid]).reshape(-1, 10)
-    names = [label for k, label in enumerate(model.base.kept_labels) if not rigid[k]]
-    gains = dict(zip(names, change[~rigid], strict=True))
-    effects = tuple(_changed(model, e, gains, rng) for e in model.effects)
-    links = _physical(model, inertial)
-    return replace(model, inertial=links, effects=effects, simpler={})
+    return bounded
 
 
-def _physical(model: DynamicModel, inertial: Array) -> Array:
-    """Project links to physical ones, whose pseudo-inertia has positive eigenvalues."""
+def _physical(model: DynamicModel, change: Array) -> Array:
+    """Change links, to physical ones, whose pseudo-inertia has positive eigenvalues."""
     assert model.inertial is not None
     root = np.linalg.cholesky(nominal_bodies(model.robot.chain, model.inertial))
     inverse = np.linalg.inv(root)
-    X = inverse @ pseudo_inertia(inertial) @ inverse.transpose(0, 2, 1)
+    X = inverse @ pseudo_inertia(model.inertial + change) @ inverse.transpose(0, 2, 1)
     values, vectors = np.linalg.eigh(X)
     X = (vectors * np.maximum(values, _THINNEST)[:, None]) @ vectors.transpose(0, 2, 1)
     found = inertial_from_pseudo(root @ X @ root.transpose(0, 2, 1))
@@ -157,9 +152,7 @@ def _link_jacobian(model: DynamicModel) -> Array:
     It is the change with the least norm, relative to the size of the parameters.
     """
     assert model.inertial is not None
-    count = 10 * model.robot.size
-    rigid = np.array(model.base.kept) < count
-    M = model.base.mapping[rigid][:, :count]
+    M = model.base.mapping[_rigid(model)][:, : 10 * model.robot.size]
     size = np.abs(model.inertial).max(axis=0, initial=1e-3)
     size = np.tile(size, model.robot.size)
     return np.asarray(size[:, None] * np.linalg.pinv(M * size))

@@ -141,15 +141,15 @@ def build_simulator(
 
 def _check(found: Robot, wanted: Robot, kind: str, fields: Sequence[str]) -> None:
     """Compare the arm in the edited file with the arm that was asked for."""
-    names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"}
-    names &= {*fields}
-    rows = {"ripple", "falling", "coupled", "stiffening"}
-    names |= rows if kind == "mjcf" else set()
-    names |= {"knee", "knee_speed"} if wanted.knee.any() else set()
+    names = {"damping", "quadratic", "cubic", "frictionloss", "stiffness"} & {*fields}
+    chains = ["armature", "inertial"]
+    if kind == "mjcf":
+        names |= {"ripple", "falling", "coupled", "stiffening"}
+        chains.append("gravity")
+    if wanted.knee.any():
+        names |= {"knee", "knee_speed"}
     pairs = {x: (getattr(found, x), getattr(wanted, x)) for x in names}
-    chains = ["armature", "inertial", *(["gravity"] if kind == "mjcf" else [])]
-    for x in chains:
-        pairs[x] = getattr(found.chain, x), getattr(wanted.chain, x)
+    pairs |= {x: (getattr(found.chain, x), getattr(wanted.chain, x)) for x in chains}
     for name, (x, y) in pairs.items():
         most = max(np.abs(y).max(initial=0.0), 1e-3)
         if x.shape != y.shape or np.abs(x - y).max(initial=0.0) > _SAME * most:
