@@ -189,8 +189,7 @@ def evidence_matrix(result: Result) -> Matrix:
             place in found,
         )
         row = cells.setdefault(place[0], {})
-        if column not in row or (cell.named, cell.alone) > _rank(row[column]):
-            row[column] = cell
+        row[column] = max(row.get(column, cell), cell, key=_rank)
     for effect in result.delays:  # removed before the search
         (j,) = effect.joints
         cells.setdefault(effect.id, {})[j] = _delay_cell(result, j)

@@ -41,9 +41,8 @@ def effects_table(fit: Fit) -> Table:
     from scipy.special import stdtrit
 
     joints, factor = fit.model.robot.joints, float(stdtrit(fit.estimate.degrees, 0.975))
-    effects = sorted(fit.model.effects, key=lambda effect: effect.joints)
     rows = []
-    for effect in effects:
+    for effect in sorted(fit.model.effects, key=lambda effect: effect.joints):
         found = _found(effect, fit.model.robot, factor)
         if found:
             places = "+".join(joints[j] for j in effect.joints)
@@ -111,8 +110,8 @@ def _found(effect: Effect, robot: Robot, factor: float) -> list[str]:
     ]
     if not gains:
         return []
-    names = [s.name for s in effect.shapes]
-    return gains + [_quantity(x, effect.values[x], units[x]) for x in names]
+    values = effect.shape_values.items()
+    return gains + [_quantity(name, x, units[name]) for name, x in values]
 
 
 def _quantity(name: str, value: float, unit: str, half: float = 0.0) -> str:

@@ -58,7 +58,7 @@ def clocks_table(inspections: Sequence[Inspection]) -> Table:
     rows = []
     for x in inspections:
         clock = x.clock
-        wrong = sum(doubt.severity == "error" for doubt in x.doubts)
+        wrong = sum(doubt.is_error for doubt in x.doubts)
         doubts = [f"{wrong} wrong"] * (wrong > 0)
         doubts += [f"{len(x.doubts) - wrong} in doubt"] * (len(x.doubts) > wrong)
         rows.append(
@@ -143,10 +143,9 @@ def untold_sentences(inspections: Sequence[Inspection]) -> list[str]:
 def doubts_table(inspections: Sequence[Inspection]) -> Table:
     """All doubts about the logs, errors first."""
     found = [(Path(x.recording.source).name, d) for x in inspections for d in x.doubts]
-    found.sort(key=lambda pair: pair[1].severity != "error")
-    words = {"error": "wrong", "warning": "in doubt"}
-    rows = tuple((words[d.severity], name, d.line) for name, d in found)
-    return Table(("", "log", "what, and what is valid"), rows, words=True)
+    found.sort(key=lambda pair: not pair[1].is_error)
+    rows = [("wrong" if d.is_error else "in doubt", name, d.line) for name, d in found]
+    return Table(("", "log", "what, and what is valid"), tuple(rows), words=True)
 
 
 def log_figure(recording: Recording) -> Figure:
