@@ -42,8 +42,8 @@ class Tag:
 class Document:
     """A robot file that is edited.
 
-    It is cut into pieces: texts at even places, and tags at odd ones. An element
-    without content has an end tag without letters.
+    It is cut into pieces: a text, a tag, what is inserted after the tag, and so on. An
+    element without content has an end tag without letters.
 
     Args:
         content: Content of the file.
@@ -55,24 +55,23 @@ class Document:
         self.tags: list[Tag] = []
         self._pieces: list[str] = []
         self._ends: dict[Tag, int] = {}  # place of the end tag of each element
-        self._inserted: dict[int, str] = {}  # texts before pieces
         text, at = read_markup(content), 0
         opened: list[Tag] = []
         for x in markup(text, where):
-            self._pieces += [text[at : x.start], text[x.start : x.end]]
-            at, place = x.end, len(self._pieces) - 1
+            self._pieces += [text[at : x.start], text[x.start : x.end], ""]
+            at, place = x.end, len(self._pieces) - 2
             if not x.closes:
                 around = opened[-1] if opened else None
                 path = (*(around.path if around else ()), x.name)
                 self.tags.append(Tag(path, around, place, x.attributes))
                 opened.append(self.tags[-1])
-                self._pieces += ["", ""] if x.empty else []
+                self._pieces += ["", "", ""] if x.empty else []
             elif not opened or opened[-1].path[-1] != x.name:
                 raise RobotError(
                     f"{where}: not readable XML (</{x.name}> closes no element)"
                 )
             if x.closes or x.empty:
-                self._ends[opened.pop()] = len(self._pieces) - 1
+                self._ends[opened.pop()] = len(self._pieces) - 2
         self._pieces.append(text[at:])
         if opened or not self.tags:
             raise RobotError(f"{where}: not readable XML (it ends too early)")
@@ -143,15 +142,14 @@ class Document:
         self._pieces[tag.place] = text
         for place in range(tag.place + 1, self._ends[tag] + 1):
             self._pieces[place] = ""
-            self._inserted.pop(place, "")
 
     def insert_before(self, tag: Tag, text: str) -> None:
         """Insert text before an element."""
-        self._insert(tag.place, text)
+        self._pieces[tag.place - 1] += text
 
     def append(self, text: str) -> None:
         """Insert an element as the last one of the outermost."""
-        self._insert(self._ends[self.root], f"  {text}\n")
+        self._pieces[self._ends[self.root] - 1] += f"  {text}\n"
 
     def insert_child(self, tag: Tag, text: str) -> None:
         """Insert an element as the first child of another."""
@@ -160,15 +158,15 @@ class Document:
             self._pieces[tag.place] = f"{head}>"
             self._pieces[self._ends[tag]] = f"</{tag.path[-1]}>"
         if self.children(tag):
-            indent = re.findall(r"\n[ \t]*", self._pieces[tag.place + 1])
+            indent = re.findall(r"\n[ \t]*", self._pieces[tag.place + 2])
             text = (indent[0] if indent else "") + text
-        self._insert(tag.place + 1, text)
+        self._pieces[tag.place + 1] += text
 
     def insert_after(self, tag: Tag, text: str) -> None:
         """Insert an element after another."""
         line = "".join(self._pieces[: tag.place]).rpartition("\n")[2]
         indent = line[: len(line) - len(line.lstrip())]
-        self._insert(self._ends[tag] + 1, f"\n{indent}{text}")
+        self._pieces[self._ends[tag] + 1] += f"\n{indent}{text}"
 
     def inside(self, tag: Tag) -> str:
         """Content of an element."""
@@ -176,11 +174,7 @@ class Document:
 
     def edited(self) -> bytes:
         """Content of the file with all changes."""
-        text = (self._inserted.get(k, "") + x for k, x in enumerate(self._pieces))
-        return "".join(text).encode("utf-8", "surrogateescape")
-
-    def _insert(self, place: int, text: str) -> None:
-        self._inserted[place] = self._inserted.get(place, "") + text
+        return "".join(self._pieces).encode("utf-8", "surrogateescape")
 
 
 def model_of(document: Document, robot: Robot) -> Any:
