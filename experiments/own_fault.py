@@ -13,7 +13,8 @@ IN_MODEL = ("coulomb", "viscous", "armature", "gravity_tilt", "payload", "link_i
 IN_DRIVE = ("torque_gain", "torque_offset", "saturation", "deadzone", "torque_ripple",
             "actuator_lag")  # fmt: skip
 IN_TORQUE = ("nonlinear_viscous", "stribeck", "asymmetric_friction", "load_friction",
-             "thermal_friction", "friction_lag", "presliding", "spring", "contact")  # fmt: skip
+             "thermal_friction", "friction_lag", "presliding", "spring",
+             "contact")  # fmt: skip
 IN_LOG = ("delay", "encoder_offset", "encoder_eccentricity")
 IN_COMMAND = ("command_latency", "controller_gain")
 KINDS = ("none", *IN_MODEL, *IN_DRIVE, *IN_TORQUE, *IN_LOG, *IN_COMMAND)

@@ -374,9 +374,13 @@ def test_a_law_at_its_limit_is_the_law_that_it_has_become():
     assert believed(A, (own, 0.5), (other, 0.5)).become is None
     elsewhere = believed(A, (own, 0.9), (Proposal(C, 1.0), 0.01), limit="c")
     assert elsewhere.become is None  # at another joint it is not
-    at = Steps({})
+    at, gains = Steps({}), {}
+    at.unseen_gain = lambda causes: {c: gains.get(c, 1.0) for c in causes}
     at.causes, at.beliefs = [A, C], [limit, believed(C, (Proposal(C, 1.0), 1.0))]
     assert at._replace_limits() and at.causes == [B, C]
+    at.causes, gains[B] = [A, C], 0.0  # it has to help on unseen motion as well
+    assert not at._replace_limits() and at.causes == [A, C]
+    gains.clear()
     at.causes, at.beliefs = [A], [believed(A, (own, 0.5), (other, 0.5))]
     assert not at._replace_limits() and at.causes == [A]
     # Of two causes that become the same law only one does.
