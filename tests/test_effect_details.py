@@ -130,6 +130,15 @@ def test_a_limit_is_suggested_where_clearly_more_is_asked_for_than_delivered():
     assert cls.suggested([], 0) == {}
 
 
+def test_a_suggested_limit_contains_the_friction_that_the_file_lacks():
+    asked = 30.0 * np.sin(np.linspace(0, 40, 2000))
+    v = np.cos(np.linspace(0, 13, 2000))
+    friction = 4.0 * np.sign(v) + 2.0 * v
+    by_file = np.clip(asked, -12, 12) - friction
+    found = effect_class("saturation").suggested([drive(asked, by_file, v[:, None])], 0)
+    assert found["limit"] == pytest.approx(12.0, rel=0.02)
+
+
 @pytest.mark.parametrize(
     "name",
     [

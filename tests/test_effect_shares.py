@@ -64,12 +64,13 @@ def test_the_limit_of_a_drive_is_what_it_delivers_of_clearly_more():
     assert suggested(-11.1, -LIMIT) == usual
     assert suggested(20.0, LIMIT, count=100) == usual
     assert suggested(20.0, LIMIT, count=99) == {}
-    assert suggested(some(100, 20.0, 1.0), LIMIT) == usual
-    assert suggested(some(99, 20.0, 1.0), LIMIT) == {}
+    for count, found in ((100, usual), (99, {})):
+        assert suggested(some(count, 20.0, 1.0), some(count, LIMIT, 1.0)) == found
     # A tenth of the time is above what is usually delivered.
     for count, found in ((90, usual), (110, {})):
-        asked = some(500, 0.0, 15.0)
-        assert suggested(asked, some(count, 20.0, LIMIT)) == found
+        delivered = some(count, 20.0, LIMIT)
+        asked = np.where(np.arange(COUNT) < 500, delivered, 15.0)
+        assert suggested(asked, delivered) == found
     motion = drive(20.0, LIMIT)
     object.__setattr__(motion, "asked", None)
     assert effect_class("saturation").suggested([motion], 0) == {}

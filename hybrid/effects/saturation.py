@@ -15,6 +15,7 @@ _LEAST_CLIPPED = 0.8  # smallest fitted loss of a drive that clips
 _LIMIT_TOLERANCE = 0.2  # of the limit: deviation of the torque of a drive that clips
 _MOST_OUTSIDE = 0.1  # of the samples beyond that tolerance
 _FEWEST_SAMPLES = 100  # beyond the limit, for a fit
+_ESTIMATES = 2  # of the limit: by the file's torque, and with what that lacks
 # A command above this multiple of this quantile of the delivered torque is beyond it.
 _ASKED_MORE, _HIGH_QUANTILE = 1.1, 0.9
 
@@ -56,19 +57,27 @@ class Saturation(Effect):
     def suggested(cls, motions: Sequence[Motion], j: int) -> Mapping[str, float]:
         """The median delivered torque while the commanded torque is clearly larger.
 
-        The law of a drive that clips fits only near its own limit.
+        The law of a drive that clips fits only near its own limit. The file's torque
+        may lack friction and rotor: these are fitted below a first estimate of it.
         """
-        both = [
-            (m.tau[m.mask, j], m.asked[m.mask, j])
-            for m in motions if m.asked is not None
-        ]  # fmt: skip
-        delivered, asked = np.abs(np.concatenate([np.zeros((2, 0)), *both], axis=1))
-        if len(asked) < _FEWEST_SAMPLES:
+        logs = [(Drive.of(m, j), m.mask) for m in motions if m.asked is not None]
+        if not logs:
             return {}
-        more = asked > _ASKED_MORE * np.quantile(delivered, _HIGH_QUANTILE)
-        if more.sum() < _FEWEST_SAMPLES:
-            return {}
-        return {"limit": float(np.median(delivered[more])), "total": 1.0}
+        asked = np.concatenate([drive.asked[use] for drive, use in logs])
+        delivered, limit = [drive.tau for drive, _ in logs], np.inf
+        for _ in range(_ESTIMATES):
+            each = zip(delivered, logs, strict=True)
+            tau = np.concatenate([x[use] for x, (_, use) in each]) * np.sign(asked)
+            quantile = np.quantile(np.abs(tau), _HIGH_QUANTILE) if len(tau) else np.inf
+            beyond = np.abs(asked) > _ASKED_MORE * quantile
+            if beyond.sum() < _FEWEST_SAMPLES:
+                break
+            limit = float(np.median(tau[beyond]))
+            delivered = [
+                drive.delivered(drive.moving & (np.abs(drive.asked) < limit))
+                for drive, _ in logs
+            ]
+        return {"limit": limit, "total": 1.0} if 0 < limit < np.inf else {}
 
     def holds(self, motions: Sequence[Motion]) -> bool:
         """Whether a drive that clips delivers its limit when the command is beyond."""
