@@ -19,6 +19,7 @@ from hybrid.diagnosis.explanations.search import Search
 from hybrid.diagnosis.gap.measure import measure_gap
 from hybrid.diagnosis.gap.servo import LATENCIES, laws, servo_logs
 from hybrid.diagnosis.prior import Prior
+from hybrid.effects.contact import Contact
 from hybrid.effects.coulomb import Coulomb
 from hybrid.effects.delay import Delay
 from hybrid.effects.torque_gain import TorqueGain
@@ -695,3 +696,18 @@ def test_laws_with_the_same_torque_are_told_apart_by_hand():
             plan.advice == Advice("push knee", ("a", "b"), 0.0)
         )
         assert not fitted and not asked and plan.experiment is None
+
+
+@pytest.mark.parametrize(("starts", "some"), [((3.0,), True), ((1.0, 3.8, 6.6), False)])
+def test_what_happens_during_most_of_the_test_is_no_event(starts, some):
+    """There would be no motion left to test by."""
+    touches = [
+        Contact((0,), {"start": t, "duration": 0.8, "moment_y": 5.0 * (-1) ** k})
+        for k, t in enumerate(starts)
+    ]
+    motions = [with_torque(m, (), NOISE, k) for k, m in enumerate(swings(seconds=9.0))]
+    motions[3] = with_torque(motions[3], touches, NOISE, 3)
+    gap = measure_gap(pendulum(), motions, cutoff=10.0)
+    once = Search(gap, gap.trajectory < 3).happened_in_test()
+    assert once.any() == some
+    assert not once[gap.trajectory < 3].any()

@@ -107,6 +107,7 @@ class Search(Moves):
         """Test samples around contacts that happened there alone, shape (M,).
 
         No motion foretells what happens once: those samples can only be for training.
+        What happens during most of the test is no event, and leaves nothing to test by.
         """
         gap, test = self.gap, self.test
         base, most = test.columns(self.causes), self.prior.most_repeated
@@ -121,7 +122,8 @@ class Search(Moves):
         found = np.zeros(len(test.use), dtype=bool)
         for x in happened:
             found |= around(gap, x)
-        return found & test.use
+        found &= test.use
+        return found if 2 * found.sum() < test.use.sum() else np.zeros_like(found)
 
     def _restart(self) -> None:
         """Start from the usual effects, and keep the more probable explanation.
