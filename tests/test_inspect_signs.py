@@ -92,8 +92,8 @@ def test_a_log_of_right_signs_has_no_gain_and_a_cleared_variance_counts_by_its_l
     )
 
 
-def reading(*, factor=(1.0, 1.0), clock=1.0):
-    return SimpleNamespace(factor=np.array(factor), clock=clock)
+def reading(*, factor=(1.0, 1.0), clock=1.0, lag=0.0):
+    return SimpleNamespace(factor=np.array(factor), clock=clock, lag=lag)
 
 
 def test_a_scale_of_torque_has_to_explain_more_than_friction():
@@ -106,14 +106,15 @@ def test_a_scale_of_torque_has_to_explain_more_than_friction():
     assert turned == plain
 
 
-def test_a_scale_of_time_has_to_explain_more_than_one_joint():
+@pytest.mark.parametrize("other", [{"clock": 0.5}, {"lag": -0.1}])
+def test_another_time_has_to_explain_more_than_one_joint(other):
+    """Friction that lags at one joint looks like torque that is early."""
     before, after = np.array([0.5, 0.5]), np.array([0.25, 0.05])
-    whole = _gain(before, after, reading())
-    slower = _gain(before, after, reading(clock=0.5))
-    assert whole - slower == pytest.approx(0.5 * np.log(10.0))
-    worse = _gain(before, 2 * before, reading(clock=0.5))
+    whole, timed = (_gain(before, after, reading(**x)) for x in ({}, other))
+    assert whole - timed == pytest.approx(0.5 * np.log(10.0))
+    worse = _gain(before, 2 * before, reading(**other))
     assert worse == pytest.approx(-np.log(2.0))
-    one = reading(factor=(1.0,), clock=0.5)
+    one = reading(factor=(1.0,), **other)
     assert _gain(before[:1], after[1:], one) == pytest.approx(0.5 * np.log(10.0))
 
 
@@ -162,6 +163,7 @@ class Told:
                 clock=1.0,
                 factor=np.ones(2),
                 shift=0.0,
+                lag=0.0,
             )
             for k in range(count)
         ]

@@ -222,14 +222,15 @@ def _others(log: _Readings, clock_is_right: bool) -> list[OtherReading]:
 def _gain(before: Array, after: Array, reading: OtherReading | None = None) -> float:
     """Log of the volume of residuals that a reading saves.
 
-    Friction may be imitated by a scale of torque, which has to explain more than that,
-    and at one joint by a scale of time, which has to explain others as well.
+    Friction may be imitated by a scale of torque: that has to explain more than
+    friction does. At one joint it may be imitated by another clock, or by a time
+    between torque and motion: these have to explain other joints as well.
     """
     scales = reading is not None and (np.abs(reading.factor) != 1.0).any()
     least = max(_SHARED * float(before.mean()), _SCALE_ERROR if scales else 0.0)
     gains = 0.5 * np.log(np.maximum(before, least) / np.maximum(after, least))
-    slower = reading is not None and reading.clock != 1.0 and len(gains) > 1
-    return float(gains.sum() - max(gains.max(), 0.0) * slower)
+    timed = reading is not None and bool(reading.clock != 1.0 or reading.lag)
+    return float(gains.sum() - max(gains.max(), 0.0) * (timed and len(gains) > 1))
 
 
 def _doubt(
