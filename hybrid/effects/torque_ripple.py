@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hybrid.effects import FASTEST, JointEffect, JointState, Port, Quantity, Scalar
+from hybrid.signals import Motion
 
 
 class TorqueRipple(JointEffect):
@@ -27,6 +28,12 @@ class TorqueRipple(JointEffect):
     source = "Holtz and Springob 1996, doi 10.1109/28.491472"
     sentence = "The torque of {joints} repeats with position."
     remedy = "Compensate the ripple from a position table, or move faster than it."
+
+    def holds(self, motions: Sequence[Motion]) -> bool:
+        """Whether a motion is as long as a period: a shorter one repeats nothing."""
+        (j,) = self.joints
+        travel = max(float(np.ptp(m.q[:, j])) for m in motions)
+        return travel * self.values["periods"] >= 2.0 * np.pi
 
     @staticmethod
     def law(state: JointState, **shapes: Scalar) -> Sequence[Scalar]:
