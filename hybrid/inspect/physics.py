@@ -192,9 +192,11 @@ def _better_reading(
         if max(weighted) > _LEAST_GAIN:
             unseen = min(log.gains([best], masses, blocks=b)[0] for b in _SPLITS)
             if unseen > _EQUAL_GAIN:
-                severity = error_if(masses == "any" and unseen > _LEAST_GAIN)
                 after = log.residual(best, masses)
-                return best, before[masses], after, masses, severity
+                # Friction that lags at one joint looks like torque at another time.
+                told = _gain(before[masses], after, best, elsewhere=bool(best.lag))
+                sure = masses == "any" and min(unseen, told) > _LEAST_GAIN
+                return best, before[masses], after, masses, error_if(sure)
         # A reading that needs impossible masses is not tested with the file's.
         others = [x for x, own in zip(others, gains, strict=True) if own > -_EQUAL_GAIN]
         if not others or "file" not in improvable:
@@ -219,18 +221,24 @@ def _others(log: _Readings, clock_is_right: bool) -> list[OtherReading]:
     return [x for x in others if x not in doubted]
 
 
-def _gain(before: Array, after: Array, reading: OtherReading | None = None) -> float:
+def _gain(
+    before: Array,
+    after: Array,
+    reading: OtherReading | None = None,
+    *,
+    elsewhere: bool = False,
+) -> float:
     """Log of the volume of residuals that a reading saves.
 
-    Friction may be imitated by a scale of torque: that has to explain more than
-    friction does. At one joint it may be imitated by another clock, or by a time
-    between torque and motion: these have to explain other joints as well.
+    Friction may be imitated by a scale of torque, which has to explain more than that,
+    and at one joint by a scale of time, which has to explain others as well: the joint
+    that gains most is left out then, and for all readings if asked ``elsewhere``.
     """
     scales = reading is not None and (np.abs(reading.factor) != 1.0).any()
     least = max(_SHARED * float(before.mean()), _SCALE_ERROR if scales else 0.0)
     gains = 0.5 * np.log(np.maximum(before, least) / np.maximum(after, least))
-    timed = reading is not None and bool(reading.clock != 1.0 or reading.lag)
-    return float(gains.sum() - max(gains.max(), 0.0) * (timed and len(gains) > 1))
+    elsewhere |= reading is not None and reading.clock != 1.0
+    return float(gains.sum() - max(gains.max(), 0.0) * (elsewhere and len(gains) > 1))
 
 
 def _doubt(
