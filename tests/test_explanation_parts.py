@@ -75,10 +75,6 @@ class Steps(Search):
             add_ripples=lambda x: self.pooled.append("ripples"),
             add_contacts=lambda x: self.pooled.append("contacts"),
         )
-        self.ranked_ones = []
-
-    def candidates(self, causes, own=None):
-        return self.ranked_ones
 
     def score(self, causes):
         return self.scores["".join(sorted(c.place[0] for c in causes))]
@@ -212,44 +208,6 @@ def test_the_best_proposal_that_is_good_for_both_scores_is_added():
     even.scores["b"] = 10.45
     even._rough_errors = lambda causes, other: 5.0 * (other is A)
     assert not even._add() and even.causes == [B]
-
-
-def kinds(gains, scores):
-    """A search that may add a kind at the hip and at the knee, with a gain at each."""
-    at = Steps(scores)
-    effect = SimpleNamespace(repeats="")
-    at.ranked_ones = [
-        (SimpleNamespace(place=(kind, (k,)), effect=effect, kind=kind), gain)
-        for kind, pair in gains.items()
-        for k, gain in enumerate(pair)
-    ]
-    at.model_error_odds = lambda c: 1.0
-    at.kind_cost = lambda kind, count: min(7.0 * count, 10.0)
-    at.refine = lambda base, c: (c, 0.0)
-    at.cause = lambda c: cause(c.place[0], c.place[1][0])
-    return at
-
-
-@pytest.mark.parametrize(
-    ("gains", "score", "taken"),
-    [((6.0, 6.0), 1.0, True), ((6.0, 6.0), 0.4, False), ((2.4, 2.4), 9.0, False),
-     ((2.6, 2.6), 9.0, True), ((9.0, 0.9), 9.0, False)],
-)  # fmt: skip
-def test_a_kind_is_added_at_all_joints_where_each_alone_has_too_little(
-    gains, score, taken
-):
-    """It costs ten; errors of laws take one of each gain, and refinement may give 7."""
-    at = kinds({"a": gains}, {"": 0.0, "a": -1.0, "aa": score})
-    assert at._add() == taken
-    assert [c.place for c in at.causes] == [("a", (0,)), ("a", (1,))] * taken
-
-
-def test_of_many_kinds_the_two_most_promising_are_tried():
-    gains = {"a": (6.0, 6.0), "b": (7.0, 7.0), "c": (8.0, 8.0)}
-    at = kinds(gains, {"": 0.0, "aa": 9.0, "bb": 0.0, "cc": 0.0, "a": 0.0})
-    assert not at._add()
-    at = kinds(gains, {"": 0.0, "aa": 0.0, "bb": 9.0, "cc": 0.0, "b": 0.0})
-    assert at._add() and [c.place[0] for c in at.causes] == ["b", "b"]
 
 
 def test_a_cause_is_exchanged_for_one_of_the_two_best():

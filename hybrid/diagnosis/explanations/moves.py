@@ -1,11 +1,9 @@
 """Single steps of a search: a cause is added, exchanged or removed."""
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid.diagnosis.evidence.candidates import Candidate, Place
 from hybrid.diagnosis.explanations.cause import Cause
 from hybrid.diagnosis.explanations.proposals import Proposals
 from hybrid.progress import Progress
@@ -77,29 +75,7 @@ class Moves(Proposals):
                 joint = self.gap.robot.joints[joints[-1]]
                 self._progress(f"cause {len(self.causes)}: {kind} at {joint}", None)
                 return self.score(self.causes) > now + LEAST_GAIN
-        return any(map(self._take, self._with_kinds()))
-
-    def _with_kinds(self) -> Iterator[list[Cause]]:
-        """The causes with one kind more at several joints, most promising first.
-
-        What a file lacks everywhere may have too little evidence at each joint alone.
-        """
-        kinds: dict[str, dict[Place, tuple[Candidate, float]]] = {}
-        for c, gain in self.candidates(self.causes):
-            worth = gain - self.model_error_odds(c)
-            if worth > 0.0 and not c.effect.repeats:
-                kinds.setdefault(c.place[0], {}).setdefault(c.place, (c, worth))
-        there = Counter(c.place[0] for c in self.causes if c.candidate is not None)
-        promising = list[tuple[float, list[Candidate]]]()
-        for kind, places in kinds.items():
-            before, more = there[kind], len(places)
-            cost = self.kind_cost(kind, before + more) - self.kind_cost(kind, before)
-            worth = sum(x for _, x in places.values()) - cost
-            if more > 1 and worth > -self.prior.cause:
-                promising.append((worth, [c for c, _ in places.values()]))
-        for _, found in sorted(promising, key=lambda x: -x[0])[:2]:
-            base, causes = self.columns(self.causes), list(self.causes)
-            yield [*causes, *(self.cause(self.refine(base, c)[0]) for c in found)]
+        return False
 
     def _remove(self) -> None:
         """Remove causes whose evidence is below their odds and errors of other laws."""

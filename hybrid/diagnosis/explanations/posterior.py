@@ -172,14 +172,9 @@ class Posterior:
         places = dict.fromkeys(c.place for c in causes if c.candidate is not None)
         count, less = Counter(kind for kind, _ in places), 0.0
         for kind, k in count.items():
-            one, _ = self._kind_odds(self._places(effect_classes()[kind]))
-            less += k * one - self.kind_cost(kind, k)
+            one, every = self._kind_odds(self._places(effect_classes()[kind]))
+            less += max(k * one - every, 0.0)
         return less
-
-    def kind_cost(self, kind: str, count: int) -> float:
-        """Log odds against causes of a kind at a number of places, [nat]."""
-        one, every = self._kind_odds(self._places(effect_classes()[kind]))
-        return min(count * one, every)
 
     def _kind_odds(self, places: int) -> tuple[float, float]:
         """Log odds against a kind of cause at one place, and at any of all, [nat].

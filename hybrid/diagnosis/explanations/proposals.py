@@ -56,7 +56,13 @@ class Proposals(Posterior):
         whole, rest = self.columns(causes), [c for c in causes if c is not own]
         base, found = self.columns(rest), list[Proposal]()
         less = base[:0] if own is None else own.index
-        ranked = self.candidates(causes, own)
+        ranked = self.pool.ranked(whole, self.taken(rest), less)
+        there = [k.candidate.effect for k in rest if k.candidate is not None]
+        ranked = [
+            (c, x) for c, x in ranked
+            if c.place not in self.refused
+            and not any(c.effect.excludes(k) for k in there)
+        ]  # fmt: skip
         rough = {c.place[1][-1]: 0.0 for c, _ in ranked}
         for c, x in ranked:
             k = c.place[1][-1]
@@ -73,19 +79,6 @@ class Proposals(Posterior):
         if laws and not self.library_only:
             found.append(self.best_law(laws, rest, whole, less, rough))
         return sorted(found, key=lambda x: -x.worth)
-
-    def candidates(
-        self, causes: Sequence[Cause], own: Cause | None = None
-    ) -> list[tuple[Candidate, float]]:
-        """Candidates for :meth:`proposals`, with their gain less their price, [nat]."""
-        whole, rest = self.columns(causes), [c for c in causes if c is not own]
-        less = whole[:0] if own is None else own.index
-        there = [k.candidate.effect for k in rest if k.candidate is not None]
-        return [
-            (c, x) for c, x in self.pool.ranked(whole, self.taken(rest), less)
-            if c.place not in self.refused
-            and not any(c.effect.excludes(k) for k in there)
-        ]  # fmt: skip
 
     def best_law(
         self,
