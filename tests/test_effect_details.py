@@ -130,6 +130,16 @@ def test_a_limit_is_suggested_where_clearly_more_is_asked_for_than_delivered():
     assert cls.suggested([], 0) == {}
 
 
+@pytest.mark.parametrize(("periods", "holds"), [(4.1, True), (3.9, False)])
+def test_a_ripple_repeats_within_a_motion(periods, holds):
+    """The longer of two motions is a quarter of a turn."""
+    still = drive(np.zeros(50), np.zeros(50))
+    way = np.linspace(0.3, 0.3 + np.pi / 2, 50)[:, None]
+    law = effect("torque_ripple", periods=periods)
+    assert law.holds([still, replace(still, q=way)]) == holds
+    assert not law.holds([still])
+
+
 def test_a_suggested_limit_contains_the_friction_that_the_file_lacks():
     asked = 30.0 * np.sin(np.linspace(0, 40, 2000))
     v = np.cos(np.linspace(0, 13, 2000))
