@@ -881,7 +881,14 @@ def test_the_gap_unseen_is_an_rms_before_and_after_and_at_its_ceiling(monkeypatc
 def verdict(explained, missed, causes=("f",), left=0.0, *, doubtful=False):
     explained, missed = np.array(explained, float), np.array(missed, float)
     found = Account(explained + missed, missed, 0 * missed, missed, ())
-    return verdict_of(found, causes, left, doubtful=doubtful)
+    unseen = on_unseen([1.0] * len(missed), [0.1] * len(missed))
+    return verdict_of(found, causes, unseen, left, doubtful=doubtful)
+
+
+def on_unseen(before, named, noise=0.1):
+    """Torque on held-out motion, by joint."""
+    none = (np.nan,) * len(before)
+    return Unseen(tuple(before), none, none, none, (noise,) * len(before), tuple(named))
 
 
 def test_a_gap_is_explained_where_nothing_is_missed():
@@ -904,9 +911,29 @@ def test_causes_of_other_joints_do_not_explain_a_joint():
     for part, word in ((0.055, "partly_explained"), (0.045, "explained")):
         found = Account(np.array([1e4, 1.0]), np.array([0.0, 1.0]),
                         np.array([0.0, 1.0 - part]), np.ones(2), ())  # fmt: skip
-        assert verdict_of(found, ("f",), 0.0, doubtful=False)[0] == word
+        unseen = on_unseen([1.0, 1.0], [0.1, 0.1])
+        assert verdict_of(found, ("f",), unseen, 0.0, doubtful=False)[0] == word
     mostly = verdict([1.0, 0.06], [0.0, 0.05])  # more of it is explained
     assert mostly[0] == "explained"
+
+
+@pytest.mark.parametrize(
+    ("before", "named", "word"),
+    [
+        (8.0, 8.0, "partly_explained"),
+        (8.0, 7.0, "partly_explained"),
+        (8.0, 5.0, "explained"),
+        (0.14, 0.14, "explained"),  # as noise
+        (np.nan, np.nan, "explained"),  # not moved there
+    ],
+)
+def test_a_joint_without_a_cause_on_held_out_motion_is_not_explained(
+    before, named, word
+):
+    """A large fault of it in training may hide what it lacks at all times."""
+    found = Account(np.array([1e4, 1e4]), np.zeros(2), np.zeros(2), np.ones(2), ())
+    unseen = on_unseen([20.0, before], [0.1, named])
+    assert verdict_of(found, ("f",), unseen, 0.0, doubtful=False)[0] == word
 
 
 def test_causes_that_unknown_laws_could_be_are_dropped(monkeypatch):

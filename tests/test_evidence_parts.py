@@ -591,6 +591,41 @@ def test_errors_of_laws_and_simulators_are_parts_of_the_gap_and_of_the_torque():
     assert evidence.covariances[0][0] == 0.5  # as it was estimated
 
 
+def test_errors_of_a_large_gap_do_not_hide_a_small_cause_in_other_recordings():
+    """A law acts in one recording only, and a small one in both."""
+    rng = np.random.default_rng(3)
+    recording = np.repeat([0, 1], 400)
+    large = 100.0 * rng.standard_normal(800) * (recording == 0)
+    small = rng.standard_normal(800)
+    left = (large + 0.5 * small + 0.1 * rng.standard_normal(800))[:, None]
+    gap = SimpleNamespace(
+        robot=SimpleNamespace(size=1), left=left, measured=left, subtracted=None,
+        moving=np.ones((800, 1), dtype=bool), fold=np.arange(800) // 100,
+        trajectory=recording, rate=100.0, cutoff=50.0,
+    )  # fmt: skip
+    evidence = Evidence(gap)
+    columns = [{0: x[:, None]} for x in (large, small)]
+    one, other = evidence.add(columns, [np.ones(1), np.ones(1)])
+    evidence.noise[:] = 0.1**2
+    evidence.covariances = [np.r_[0.1**2, np.zeros(16)]]
+    model = NoiseModel(evidence, Prior())
+    model.apply(np.zeros(0, dtype=np.intp))
+
+    def worth():
+        both = evidence.solve(np.concatenate([one, other])).evidence
+        return both - evidence.solve(one).evidence
+
+    law, solver = (x**2 * np.mean(left**2) for x in (0.03, 0.002))
+    usual = 0.1**2 + 2 * law + solver
+    here = [0.1**2 + solver + 2 * 0.03**2 * np.mean(left[recording == k] ** 2)
+            for k in (0, 1)]  # fmt: skip
+    expected = np.sqrt(here / usual)[recording, None]
+    np.testing.assert_allclose(model.sizes, expected, rtol=0.02)
+    assert worth() > 100.0
+    evidence.set_covariances(model.covariances)  # the same noise in both
+    assert worth() < 20.0
+
+
 def lowered(rng, std, fitted):
     """Noise variance that some columns of noise leave of white noise of one."""
     count = 400

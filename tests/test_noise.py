@@ -24,25 +24,30 @@ def covariance(pole, size=2.0, lags=LAGS):
     return size * pole ** np.arange(lags + 1)
 
 
-@given(pole=st.floats(-0.95, 0.95), hole=st.integers(1, 39))
-def test_whitened_samples_have_the_covariance_of_white_ones(pole, hole):
+SIZES = np.geomspace(0.2, 5.0, 40)  # of 40 samples, over the usual one
+
+
+@given(pole=st.floats(-0.95, 0.95), hole=st.integers(1, 39), size=st.booleans())
+def test_whitened_samples_have_the_covariance_of_white_ones(pole, hole, size):
     follows = np.ones(40, dtype=bool)
     follows[[0, hole]] = False
-    noise = Noise(covariance(pole), follows)
+    noise = Noise(covariance(pole), follows, SIZES if size else 1.0)
     W = noise.whiten(np.eye(40))
     own = toeplitz(covariance(pole, lags=39))
     own[:hole, hole:] = own[hole:, :hole] = 0.0  # nothing is known across a hole
+    own *= np.outer(SIZES, SIZES) if size else 1.0
     np.testing.assert_allclose(W @ own @ W.T, np.eye(40), atol=1e-9)
 
 
-@given(pole=st.floats(-0.95, 0.95), hole=st.integers(1, 39))
-def test_weighting_is_by_the_inverse_of_the_covariance(pole, hole):
+@given(pole=st.floats(-0.95, 0.95), hole=st.integers(1, 39), size=st.booleans())
+def test_weighting_is_by_the_inverse_of_the_covariance(pole, hole, size):
     follows = np.ones(40, dtype=bool)
     follows[[0, hole]] = False
     own = toeplitz(covariance(pole, lags=39))
     own[:hole, hole:] = own[hole:, :hole] = 0.0
-    weighted = Noise(covariance(pole), follows).weight(own)
-    np.testing.assert_allclose(weighted, np.eye(40), atol=1e-9)
+    own *= np.outer(SIZES, SIZES) if size else 1.0
+    weighted = Noise(covariance(pole), follows, SIZES if size else 1.0).weight(own)
+    np.testing.assert_allclose(weighted, np.eye(40), atol=1e-8)
 
 
 @given(pole=st.floats(-0.95, 0.95), other=st.floats(-0.9, 0.9))

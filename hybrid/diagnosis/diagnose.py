@@ -249,7 +249,7 @@ def _explained(case: _Case, tell: Progress, rng: np.random.Generator) -> Result:
         causes, effects = apart.merged(causes, others), (*effects, *apart.effects)
         found = replace(found, before=found.before + apart.squares)
     doubtful = bool(far or case.unlike.short) or (not causes and error > typical)
-    verdict, unexplained = verdict_of(found, causes, left, doubtful=doubtful)
+    verdict, unexplained = verdict_of(found, causes, shown, left, doubtful=doubtful)
     if case.too_little:
         verdict, unexplained = "not_excited", 1.0
     healthy = case.healthy

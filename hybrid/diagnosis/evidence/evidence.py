@@ -118,9 +118,11 @@ class Evidence(Products):
         self.precision = np.concatenate([self.precision, size**-2.0])
         return index
 
-    def set_covariances(self, covariances: Sequence[Array]) -> None:
+    def set_covariances(
+        self, covariances: Sequence[Array], sizes: Array | None = None
+    ) -> None:
         """See :meth:`.Products.set_covariances`."""
-        super().set_covariances(covariances)
+        super().set_covariances(covariances, sizes)
         self._forget()
 
     def set_left(self, left: Array) -> None:

@@ -31,11 +31,14 @@ class Noise:
     Args:
         covariance: Covariance at lags 0 to p, shape (p + 1,), [N²·m²].
         follows: Whether a sample directly follows the one before it, shape (R,).
+        size: RMS noise of each sample over that of the process, shape (R,).
 
     Source: Durbin 1960, doi 10.2307/1401322 (predictors of rising order).
     """
 
-    def __init__(self, covariance: Array, follows: Mask) -> None:
+    def __init__(
+        self, covariance: Array, follows: Mask, size: Array | float = 1.0
+    ) -> None:
         predictors = _predictors(covariance)  # (p + 1, p + 1)
         count, p = len(follows), len(covariance) - 1
         start = np.where(follows, 0, np.arange(count))
@@ -45,7 +48,8 @@ class Noise:
         for k in range(min(p + 1, count)):
             bands[k, : count - k] = by_row[k:, k]
         lower = sparse.dia_array((bands, -np.arange(p + 1)), shape=(count, count))
-        self._matrix = lower.tocsr()
+        usual = sparse.diags_array(1.0 / np.broadcast_to(size, count))
+        self._matrix = (lower.tocsr() @ usual).tocsr()
         self._transposed = self._matrix.T.tocsr()
 
     def whiten(self, x: Array) -> Array:

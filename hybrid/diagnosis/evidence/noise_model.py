@@ -27,9 +27,9 @@ _RIDGES = 100.0 ** np.arange(-2, 3)  # for columns of unit length
 class NoiseModel:
     """Noise of each joint plus the errors of laws and simulators.
 
-    The errors of laws are a part of the gap, and have its autocovariance; those of
-    simulators are a part of the torque. Noise and errors of laws together are at most
-    what an explanation leaves.
+    The errors of laws are a part of the gap in each recording, and have the gap's
+    autocovariance; those of simulators are a part of the torque. Noise and errors of
+    laws together are at most what an explanation leaves.
 
     Args:
         evidence: Cross-products of a gap, whose noise is estimated.
@@ -39,6 +39,7 @@ class NoiseModel:
         law_errors: RMS error of laws over that of the gap, shape (n,).
         covariances: Covariance of each joint's noise and errors at lags from zero on,
             shape (p + 1,) each.
+        sizes: RMS noise and errors of each sample over the usual one, shape (M, n).
     """
 
     def __init__(self, evidence: Evidence, prior: Prior) -> None:
@@ -46,6 +47,7 @@ class NoiseModel:
         self.measured = evidence.noise.copy()
         self.law_errors = np.full(len(evidence.rows), prior.law_error)
         self.covariances: list[Array] = []
+        self.sizes = np.ones(evidence.gap.left.shape)
         # Expected sum of whitened squares, and the part of it from errors, shape (n,).
         self._expected, self._errors = np.zeros((2, len(evidence.rows)))
 
@@ -120,10 +122,12 @@ class NoiseModel:
                 row = np.sort(rows)
                 left = residuals[i][np.argsort(rows)]
                 variance, law = self._law_error(left, row, self.law_errors[i])
+                more = law[0] * self._excess(gap.left, i)
                 if gap.subtracted is not None:
-                    known = gap.subtracted[row, i]
-                    more = self._law_error(known, row, self._prior.real_law_error)
-                    variance, law = variance + more[0], law + more[1]
+                    known, part = gap.subtracted, self._prior.real_law_error
+                    own = self._law_error(known[row, i], row, part)
+                    variance, law = variance + own[0], law + own[1]
+                    more += own[1][0] * self._excess(known, i)
                 torque = gap.measured[row, i]
                 torque -= np.mean(torque)
                 solver = self._prior.solver_error**2 * np.mean(torque**2)
@@ -131,6 +135,8 @@ class NoiseModel:
                 evidence.noise[i] += variance + solver
                 whole += law
                 whole[0] += law[0] + solver
+                # The noise of the band is in all bands: errors count twice.
+                self.sizes[:, i] = np.sqrt(1.0 + 2.0 * more / max(whole[0], 1e-300))
             covariance = floored(whole, band)
             power = whitened_power(covariance, whole)
             alone = whitened_power(covariance, floored(noise, band))
@@ -138,7 +144,19 @@ class NoiseModel:
             self._errors[i] = (1.0 - alone) / power
             covariances.append(covariance)
         self.covariances = covariances
-        evidence.set_covariances(covariances)
+        evidence.set_covariances(covariances, self.sizes)
+
+    def _excess(self, torque: Array, i: int) -> Array:
+        """Power of a joint's torque in a sample's recording over the usual, less one.
+
+        The usual one is that of the evidence's samples; shape (M,).
+        """
+        gap, rows = self._evidence.gap, self._evidence.rows[i]
+        squares, use = torque[:, i] ** 2, gap.moving[:, i]
+        count = np.bincount(gap.trajectory, use)
+        power = np.bincount(gap.trajectory, squares * use) / np.maximum(count, 1.0)
+        power /= max(float(squares[rows].mean()), 1e-300)
+        return np.where(count > 0, power - 1.0, 0.0)[gap.trajectory]
 
     @staticmethod
     def _law_error(torque: Array, row: Index, part: float) -> tuple[float, Array]:

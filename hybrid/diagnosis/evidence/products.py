@@ -70,19 +70,25 @@ class Products:
             joint.add(parts, rows)
         return index
 
-    def set_covariances(self, covariances: Sequence[Array]) -> None:
+    def set_covariances(
+        self, covariances: Sequence[Array], sizes: Array | None = None
+    ) -> None:
         """Set the noise processes, by which products are weighted.
 
         Args:
             covariances: Covariance of each joint's noise at lags from zero on, shape
                 (p + 1,), [N²·m²].
+            sizes: RMS noise of each sample over that of its process, shape (M, n); one
+                by default.
         """
         gap, processes = self.gap, []
-        for rows, covariance in zip(self.rows, covariances, strict=True):
+        sizes = np.ones(gap.left.shape) if sizes is None else sizes
+        each = zip(self.rows, covariances, sizes.T, strict=True)
+        for rows, covariance, size in each:
             follows = np.diff(rows, prepend=-2) == 1
             for part in (gap.fold, gap.trajectory):
                 follows &= np.diff(part[rows], prepend=-1) == 0
-            processes.append(Noise(covariance, follows))
+            processes.append(Noise(covariance, follows, size[rows]))
         for joint, process in zip(self._joints, processes, strict=True):
             joint.set_noise(process)
         self._processes = processes

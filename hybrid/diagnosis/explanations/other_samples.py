@@ -57,7 +57,8 @@ class OtherSamples:
         self._search, self.use, gap = proxy(search), use, search.gap
         self.evidence = Evidence(gap, use)
         self.evidence.noise = search.evidence.noise
-        self.evidence.set_covariances(search.noise.covariances)
+        noise = search.noise
+        self.evidence.set_covariances(noise.covariances, noise.sizes)
         self.rigid, numbers = add_background(self.evidence, search.prior)
         self.numbers = np.concatenate(numbers[: gap.robot.size])
         self.evidence.scale_prior(self.numbers, search.file_error)
