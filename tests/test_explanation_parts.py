@@ -280,11 +280,11 @@ def test_an_exchange_is_tried_again_where_something_near_has_changed():
 class Files(Steps):
     """A search whose score and losses depend on the error of the file alone."""
 
-    def __init__(self, worth, losses=None, unseen=None):
+    def __init__(self, worth, losses=None):
         super().__init__({"": 0.0, "a": 0.0})
-        self.worth, self.by_error, self.unseen = worth, losses or {}, unseen or {}
+        self.worth, self.by_error = worth, losses or {}
         self.numbers, self.set = np.array([0]), []
-        self._file_errors, self.file_error = self.prior.file_errors, 0.02
+        self.file_error = 0.02
         self.now = 0.02
         self.evidence = SimpleNamespace(scale_prior=self._scale)
 
@@ -297,9 +297,6 @@ class Files(Steps):
 
     def held_out_loss(self, causes):
         return np.array(self.by_error.get(self.now, (-self.now,) * 2))
-
-    def unseen_loss(self, causes):
-        return np.array(self.unseen[self.now])
 
     def file_error_odds(self, error):
         return 10.0 * (error > 0.02)
@@ -341,21 +338,6 @@ def test_a_large_error_of_the_file_gives_way_to_one_cause():
     assert not at._exchange_file_error() and at.now == 0.2
     at.file_error = 0.02
     assert not at._exchange_file_error()
-
-
-@pytest.mark.parametrize(
-    ("loss", "helps"), [((1.1, 1.1), True), ((1.1, 0.9), False), ((1.0, 1.1), False)]
-)
-def test_a_large_error_of_the_file_that_does_not_help_unseen_is_not_tried_again(
-    loss, helps
-):
-    at = Files({}, unseen={0.2: (1.0, 1.0), 0.02: loss})
-    at.file_error = at.now = 0.2
-    assert at._reset_file_error() == (not helps)
-    assert at.file_error == at.now == (0.2 if helps else 0.02)
-    assert at._file_errors == (at.prior.file_errors if helps else (0.01, 0.02))
-    at.file_error = 0.02
-    assert not at._reset_file_error()
 
 
 def believed(cause, *options, probability=0.9, limit=None):

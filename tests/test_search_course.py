@@ -46,7 +46,7 @@ class Course(Search):
     def __init__(self, causes=(), **answers):
         self.causes, self._certain, self.refused = list(causes), [], frozenset()
         self.prior, self.beliefs, self.did = Prior(), [], []
-        self.file_error, self._file_errors = 0.02, self.prior.file_errors
+        self.file_error = 0.02
         self.library_only, self._checked, self.whole = False, {}, []
         self.evidence = SimpleNamespace(
             noise=np.ones(2), scale_prior=lambda numbers, x: self._do(f"prior {x}")
@@ -76,9 +76,6 @@ class Course(Search):
 
     def _exchange_file_error(self):
         return self._do("exchange file", False)
-
-    def _reset_file_error(self):
-        return self._do("reset", False)
 
     def update_noise(self, causes):
         return self._do("noise", False)
@@ -168,12 +165,10 @@ def test_a_cause_that_is_gone_is_not_exchanged():
 
 
 def test_a_search_has_converged_where_all_causes_help_and_nothing_is_set_anew():
-    at = Course([A], reset=[True, False, False], noise=[True, False])
+    at = Course([A], noise=[True, False])
     at._improve = lambda most: at.did.append("improve")
     at._converge()
-    assert at.did == [
-        "improve", "reset", "improve", "reset", "noise", "improve", "reset", "noise",
-    ]  # fmt: skip
+    assert at.did == ["improve", "noise", "improve", "noise"]
 
 
 def test_a_search_for_few_causes_stops_at_one_more():
@@ -326,7 +321,7 @@ def test_unknown_laws_give_way_to_effects_that_help_unseen():
     same = Course([A])
     same.whole = [A]
     same.substitute_unknown_laws()
-    assert same.did == ["reset"] and same.library_only is False
+    assert not same.did and same.library_only is False
     same._replaced = True  # an effect was dropped, and no unknown law took its place
     same._with_usual, same._converge = at._with_usual, lambda: None
     same.answers["score"] = {"a": 1.0, "ac": 2.0}

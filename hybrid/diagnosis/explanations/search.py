@@ -48,7 +48,6 @@ class Search(Moves):
         self._checked = {}
         self.beliefs: list[Belief] = []
         self.whole: list[Cause] = []
-        self._file_errors = self.prior.file_errors  # that are tried
 
     @property
     def known(self) -> list[Cause]:
@@ -171,7 +170,6 @@ class Search(Moves):
         A simulator has no other laws. The effects are not reported as causes.
         """
         if self.known == self.whole and not self._replaced:
-            self._reset_file_error()  # simpler causes may have taken the place of some
             return
         self.causes, self.library_only = self.known, True
         while (gains := self.unseen_gain(self.causes)) and min(gains.values()) <= 0:
@@ -195,7 +193,7 @@ class Search(Moves):
                 break
             gains = self.unseen_gain(self.causes)
             bad = [c for c in self._doubtful() if gains[c] <= 0]
-            if not (bad or self._reset_file_error()):
+            if not bad:
                 if not self.update_noise(self.causes):
                     break
                 self.refused -= failed - again
@@ -228,7 +226,7 @@ class Search(Moves):
             self.evidence.scale_prior(self.numbers, error)
             return self.held_out_loss(self.causes)
 
-        now, best = self.file_error, max(self._file_errors, key=score)
+        now, best = self.file_error, max(self.prior.file_errors, key=score)
         better = score(best) > score(now) + LEAST_GAIN
         better = better and bool(np.all(loss(best) < loss(now)))
         self.evidence.scale_prior(self.numbers, now)
@@ -253,26 +251,6 @@ class Search(Moves):
                 return True
         self.evidence.scale_prior(self.numbers, error)
         return False
-
-    def _reset_file_error(self) -> bool:
-        """Return to the typical error of the links' numbers if a larger one fails.
-
-        It fails if it does not lower the loss on test samples.
-
-        Returns:
-            Whether it failed; it is not tried again then.
-        """
-        typical, now = self.prior.file_errors[1], self.file_error
-        if now <= typical:
-            return False
-        loss = self.unseen_loss(self.causes)
-        self.evidence.scale_prior(self.numbers, typical)
-        helps = np.min(self.unseen_loss(self.causes) - loss) > 0
-        self.evidence.scale_prior(self.numbers, now)
-        if not helps:
-            self._file_errors = tuple(x for x in self._file_errors if x <= typical)
-            self.set_file_error(typical)
-        return not helps
 
     def _replace_limits(self) -> bool:
         """Exchange causes for the laws that they have become; whether there are any.
