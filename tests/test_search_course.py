@@ -392,6 +392,7 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     at.unseen_loss = lambda causes: np.array(losses[named(causes)])
     at._simpler = lambda c, rest: [cause("x")] if c is A else []
     at.test = SimpleNamespace(tests=lambda c, causes: True)
+    at._falls = lambda causes: np.array([9.0])
     assert at.unseen_gain([A]) == {A: 0.5} and at.unseen_gain([]) == {}
     assert at.unseen_gain([A, B]) == {A: 2.0, B: 3.0}
     at.test.tests = lambda c, causes: False
@@ -403,6 +404,40 @@ def test_a_cause_helps_by_the_smaller_fall_also_against_its_simpler_law():
     at.is_isolated = lambda c, causes: c is push
     at.test.tests = lambda c, causes: True
     assert at.unseen_gain([push, B]) == {push: 2.0, B: 3.0}
+
+
+def test_a_cause_helps_by_no_more_than_its_joints_fall_from_the_file_as_it_stands():
+    at = Losses(noise=np.array([2.0]), count=np.array([20]))
+    losses = {"a": (5.0, 5.0), "b": (6.0, 6.0), "ab": (2.0, 1.0)}
+    at.unseen_loss = lambda causes: np.array(losses[named(causes)])
+    at._simpler = lambda c, rest: []
+    at.test = SimpleNamespace(tests=lambda c, causes: c is A)
+    for falls, helps in ((-3.0, -3.0), (1.0, 1.0), (9.0, 4.0)):
+        at._falls = lambda causes, x=falls: np.array([x])
+        # What does not act on the test samples is not compared with the file there.
+        assert at.unseen_gain([A, B]) == {A: helps, B: 3.0}
+
+
+def test_the_fall_from_the_file_does_not_count_what_no_cause_explains():
+    """Two joints: one with an event without a cause, for a tenth of the time."""
+    rng = np.random.default_rng(0)
+    before, event = rng.standard_normal((2, 1000)), np.arange(1000) // 100 == 4
+    after = 2.0 * before
+    before[0, event] += 100.0  # a tenth of it is fitted, at the cost of all the rest
+    after[0, event] += 90.0
+    after[1] /= 4.0
+    at = Losses(noise=np.array([2.0, 4.0]), count=np.array([600, 600]))
+    at.gap = SimpleNamespace(rate=100.0)
+    at.test = SimpleNamespace(
+        residuals=lambda causes: [*after],
+        evidence=SimpleNamespace(
+            rows=[np.arange(1000)] * 2, left=[*before], count=np.array([200, 200])
+        ),
+    )
+    usual = before[0, ~event]
+    expected = [-3 * usual @ usual, 0.75 * before[1] @ before[1]]
+    expected = 3.0 * np.array(expected) / at.evidence.noise / 2
+    np.testing.assert_allclose(at._falls([A]), expected)
 
 
 def test_the_simpler_law_of_a_cause_is_made_unless_it_is_there():
